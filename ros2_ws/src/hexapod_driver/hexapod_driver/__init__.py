@@ -1,0 +1,1 @@
+"""Wire protocols and driver node of a serial hexapod."""

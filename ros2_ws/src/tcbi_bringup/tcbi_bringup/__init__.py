@@ -1,0 +1,1 @@
+"""Launcher, emulated robot, the tcbi command and the demo."""

@@ -1,0 +1,87 @@
+"""Node parameters from one frozen dataclass: described, typed, bounded, refused by name at the start."""
+
+import dataclasses
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+
+from tcbi_contract.errors import TcbiError
+
+T = TypeVar("T")
+
+
+class ParameterError(TcbiError):
+    """A node parameter is unknown, of the wrong type, or out of its range."""
+
+
+def parameter(default: Any, text: str, low: float | None = None, high: float | None = None, choices: tuple = ()) -> Any:
+    """A dataclass field that is a node parameter, with its description, range or choices."""
+    meta = {"text": text, "low": low, "high": high, "choices": choices}
+    if isinstance(default, (list, tuple)):
+        return dataclasses.field(default_factory=lambda: list(default), metadata=meta)
+    return dataclasses.field(default=default, metadata=meta)
+
+
+def declare(node: Node, cls: type[T]) -> T:
+    """Declare every field of a frozen dataclass as a parameter of `node` and return the values.
+
+    Raises:
+      ParameterError: all faults at once: unknown names, wrong types, values out of range.
+    """
+    faults, values = [], {}
+    fields = {f.name: f for f in dataclasses.fields(cls)}
+    given = node._parameter_overrides  # rclpy offers no public view of what the command line gave
+    for name in sorted(set(given) - set(fields) - {"use_sim_time"}):
+        if not name.startswith(("qos_overrides", "start_type_description_service")):
+            faults.append(f"unknown parameter {name!r}; known are {', '.join(fields)}")
+    for name, field in fields.items():
+        default = field.default if field.default is not dataclasses.MISSING else field.default_factory()
+        try:
+            values[name] = node.declare_parameter(name, default, _descriptor(field, default)).value
+        except (InvalidParameterValueException, InvalidParameterTypeException) as e:
+            seen = given[name].value if name in given else default
+            faults.append(f"parameter {name!r}: got {seen!r}, allowed is {_allowed(field, default)} ({e.__class__.__name__})")
+            continue
+        choices = field.metadata["choices"]
+        if choices and values[name] not in choices:
+            faults.append(f"parameter {name!r}: got {values[name]!r}, allowed is {_allowed(field, default)}")
+    if faults:
+        raise ParameterError("; ".join(faults))
+    return cls(**values)
+
+
+def _allowed(field: dataclasses.Field, default: Any) -> str:
+    meta = field.metadata
+    if meta["choices"]:
+        return "one of " + ", ".join(map(str, meta["choices"]))
+    kind = type(default).__name__
+    if meta["low"] is None and meta["high"] is None:
+        return kind
+    return f"{kind} from {meta['low']} to {meta['high']}"
+
+
+def _descriptor(field: dataclasses.Field, default: Any) -> ParameterDescriptor:
+    meta = field.metadata
+    descriptor = ParameterDescriptor(description=meta["text"], read_only=True)
+    if meta["low"] is not None or meta["high"] is not None:
+        low, high = meta["low"], meta["high"]
+        if isinstance(default, float):
+            low = -1e308 if low is None else float(low)
+            high = 1e308 if high is None else float(high)
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        else:
+            low = -(2**62) if low is None else int(low)
+            high = 2**62 if high is None else int(high)
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+    return descriptor
+
+
+def parameter_table(cls: type) -> list[tuple[str, str, str, str]]:
+    """(name, default, allowed, description) of each parameter, for the documentation."""
+    rows = []
+    for field in dataclasses.fields(cls):
+        default = field.default if field.default is not dataclasses.MISSING else field.default_factory()
+        rows.append((field.name, repr(default), _allowed(field, default), field.metadata["text"]))
+    return rows

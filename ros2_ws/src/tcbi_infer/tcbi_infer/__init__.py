@@ -1,0 +1,1 @@
+"""Bags, statistics, TCBI, comparison, diagnosis and the inference node."""

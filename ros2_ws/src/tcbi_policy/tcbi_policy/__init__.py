@@ -1,0 +1,1 @@
+"""Rewards, training, policy artefacts, the policy node and the retrain action."""

@@ -1,0 +1,1 @@
+"""Rigs, physical effects, model versions, batch simulation and the sim node."""
