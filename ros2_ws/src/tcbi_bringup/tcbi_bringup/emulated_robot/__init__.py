@@ -1,0 +1,1 @@
+"""A robot on a pseudo-terminal: the wire in front, physics behind."""
