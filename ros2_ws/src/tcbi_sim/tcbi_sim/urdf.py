@@ -1,10 +1,10 @@
 """A URDF of a rig, made from the compiled MuJoCo model, so that RViz and Foxglove draw what is simulated.
 
-One link per body, one revolute joint per hinge, one fixed frame per site; inertials, collision shapes and joint limits are
-those of the model. Links stand where MuJoCo's forward kinematics puts the bodies: frames are body frames, moved to the
-hinge's anchor where the two differ. MuJoCo capsules become a cylinder and two spheres, since URDF has no capsule.
+One link per body, one revolute joint per hinge, one fixed frame per site; inertials, collision shapes and joint limits
+are those of the model. Links stand where MuJoCo puts the bodies: frames are body frames, moved to the hinge's anchor
+where the two differ. MuJoCo capsules become a cylinder and two spheres, since URDF has no capsule.
 
-    text = urdf(spec.compile(), "hexapod")
+    text = urdf(spec.compile(), "hexapod", velocity=5.0)
 """
 
 import xml.etree.ElementTree as ET
@@ -20,7 +20,6 @@ _SHAPES = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE),
     int(mujoco.mjtGeom.mjGEOM_CAPSULE),
     int(mujoco.mjtGeom.mjGEOM_CYLINDER),
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
 }
 
 
@@ -28,28 +27,32 @@ class DescriptionError(SimError):
     """The rig holds something that a URDF cannot say."""
 
 
-def urdf(model: mujoco.MjModel, name: str, root: str | None = None, exclude: tuple[str, ...] = ()) -> str:
-    """The URDF of the tree below a body.
+def urdf(model: mujoco.MjModel, name: str, velocity: float, root: str | None = None) -> str:
+    """The URDF of the tree below a top-level body.
 
     Args:
       model: the compiled rig; its `qpos0` is the zero of every joint.
       name: of the robot.
-      root: name of the root body; by default the body with the free joint, or the first child of the world.
-      exclude: bodies left out with all below them.
+      velocity: rad/s, the joints' speed limit, which a MuJoCo model does not hold.
+      root: name of a child of the world; by default the body with the free joint, or the first one.
 
     Raises:
-      DescriptionError: a body has a joint other than one hinge, or a name is missing.
+      DescriptionError: a body has joints other than one hinge, a shape that URDF lacks, or no name.
     """
     robot = ET.Element("robot", name=name)
     top = _root(model, root)
-    for body in _tree(model, top, set(exclude)):
+    floating = model.body_jntnum[top] > 0 and model.jnt_type[model.body_jntadr[top]] == mujoco.mjtJoint.mjJNT_FREE
+    if not floating:
+        ET.SubElement(robot, "link", name="world")
+    bodies = [body for body in range(1, model.nbody) if model.body_rootid[body] == top]  # parents come first
+    for body in bodies:
         link = ET.SubElement(robot, "link", name=_name(model.body(body).name, "body", body))
         _inertial(link, model, body)
         _shapes(link, model, body)
-        if body != top:
-            _joint(robot, model, body, top)
+        if body != top or not floating:
+            _joint(robot, model, body, velocity)
     for site in range(model.nsite):
-        if model.site_bodyid[site] in set(_tree(model, top, set(exclude))):
+        if model.site_bodyid[site] in bodies:
             _frame(robot, model, site)
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
@@ -60,16 +63,6 @@ def _root(model: mujoco.MjModel, root: str | None) -> int:
         return int(model.body(root).id)
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     return int(model.jnt_bodyid[free[0]]) if free.size else 1
-
-
-def _tree(model: mujoco.MjModel, top: int, exclude: set[str]) -> Iterator[int]:
-    """Body ids below `top`, itself first, parents before children."""
-    kept = {top}
-    yield top
-    for body in range(top + 1, model.nbody):
-        if int(model.body_parentid[body]) in kept and model.body(body).name not in exclude:
-            kept.add(body)
-            yield body
 
 
 def _name(name: str, what: str, index: int) -> str:
@@ -91,19 +84,17 @@ def _hinge(model: mujoco.MjModel, body: int) -> int | None:
     return joint
 
 
-def _anchor(model: mujoco.MjModel, body: int, top: int) -> np.ndarray:
+def _anchor(model: mujoco.MjModel, body: int) -> np.ndarray:
     """Origin of the link's frame in the body's frame, m: the hinge's anchor."""
-    if body == top or model.body_jntnum[body] == 0:
-        return np.zeros(3)
-    return np.array(model.jnt_pos[model.body_jntadr[body]])
+    return np.array(model.jnt_pos[model.body_jntadr[body]]) if model.body_jntnum[body] else np.zeros(3)
 
 
-def _joint(robot: ET.Element, model: mujoco.MjModel, body: int, top: int) -> None:
+def _joint(robot: ET.Element, model: mujoco.MjModel, body: int, velocity: float) -> None:
     hinge, parent = _hinge(model, body), int(model.body_parentid[body])
     name = f"{model.body(body).name}_fixed" if hinge is None else _name(model.joint(hinge).name, "joint", hinge)
     element = ET.SubElement(robot, "joint", name=name, type="fixed" if hinge is None else "revolute")
     rotation = _matrix(model.body_quat[body])
-    position = model.body_pos[body] + rotation @ _anchor(model, body, top) - _anchor(model, parent, top)
+    position = model.body_pos[body] + rotation @ _anchor(model, body) - _anchor(model, parent)
     _origin(element, position, model.body_quat[body])
     ET.SubElement(element, "parent", link=model.body(parent).name)
     ET.SubElement(element, "child", link=model.body(body).name)
@@ -111,10 +102,8 @@ def _joint(robot: ET.Element, model: mujoco.MjModel, body: int, top: int) -> Non
         return
     ET.SubElement(element, "axis", xyz=_text(model.jnt_axis[hinge]))
     lower, upper = model.jnt_range[hinge] if model.jnt_limited[hinge] else (-np.pi, np.pi)
-    effort, velocity = _effort(model, hinge), 10.0
-    ET.SubElement(
-        element, "limit", lower=f"{lower:.6g}", upper=f"{upper:.6g}", effort=f"{effort:.6g}", velocity=f"{velocity:.6g}"
-    )
+    limit = {"lower": lower, "upper": upper, "effort": _effort(model, hinge), "velocity": velocity}
+    ET.SubElement(element, "limit", {key: f"{value:.9g}" for key, value in limit.items()})
 
 
 def _effort(model: mujoco.MjModel, joint: int) -> float:
@@ -129,22 +118,18 @@ def _inertial(link: ET.Element, model: mujoco.MjModel, body: int) -> None:
     if model.body_mass[body] <= 0:
         return
     element = ET.SubElement(link, "inertial")
-    offset = model.body_ipos[body] - _anchor(model, body, _root_of(model, body))
+    offset = model.body_ipos[body] - _anchor(model, body)
     _origin(element, offset, model.body_iquat[body])
     ET.SubElement(element, "mass", value=f"{model.body_mass[body]:.6g}")
     ixx, iyy, izz = (f"{value:.6g}" for value in model.body_inertia[body])
     ET.SubElement(element, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
 
 
-def _root_of(model: mujoco.MjModel, body: int) -> int:
-    return int(model.body_rootid[body])
-
-
 def _shapes(link: ET.Element, model: mujoco.MjModel, body: int) -> None:
     start, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     for geom in range(start, start + count):
         if int(model.geom_type[geom]) not in _SHAPES:
-            continue
+            raise DescriptionError(f"geom {geom} of {link.get('name')!r} is no box, sphere, capsule or cylinder")
         solid = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
         for kind in ("visual", "collision") if solid else ("visual",):
             for offset, shape in _primitives(model, geom):
@@ -156,8 +141,8 @@ def _primitives(model: mujoco.MjModel, geom: int) -> Iterator[tuple[float, dict[
     size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         yield 0.0, {"box": {"size": _text(2 * size)}}
-    elif kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        yield 0.0, {"sphere": {"radius": f"{size.max():.6g}"}}
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        yield 0.0, {"sphere": {"radius": f"{size[0]:.6g}"}}
     else:
         yield 0.0, {"cylinder": {"radius": f"{size[0]:.6g}", "length": f"{2 * size[1]:.6g}"}}
         if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
@@ -170,7 +155,7 @@ def _shape(
 ) -> None:
     element = ET.SubElement(link, kind)
     body = int(model.geom_bodyid[geom])
-    anchor = _anchor(model, body, _root_of(model, body))
+    anchor = _anchor(model, body)
     along = _matrix(model.geom_quat[geom])[:, 2] * offset
     _origin(element, model.geom_pos[geom] - anchor + along, model.geom_quat[geom])
     geometry = ET.SubElement(element, "geometry")
@@ -188,7 +173,7 @@ def _frame(robot: ET.Element, model: mujoco.MjModel, site: int) -> None:
         raise DescriptionError(f"site {name!r} has the name of a body; a URDF needs distinct names")
     ET.SubElement(robot, "link", name=name)
     joint = ET.SubElement(robot, "joint", name=f"{name}_fixed", type="fixed")
-    _origin(joint, model.site_pos[site] - _anchor(model, body, _root_of(model, body)), model.site_quat[site])
+    _origin(joint, model.site_pos[site] - _anchor(model, body), model.site_quat[site])
     ET.SubElement(joint, "parent", link=model.body(body).name)
     ET.SubElement(joint, "child", link=name)
 
