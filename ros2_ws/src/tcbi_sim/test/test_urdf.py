@@ -132,5 +132,5 @@ def test_a_rig_that_stands_on_a_bench_is_described_too():
 def test_two_hinges_on_one_body_are_refused_with_a_reason():
     spec = load_rig("hexapod").build(0)
     spec.body("lf_tibia").add_joint(name="play", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0])
-    with pytest.raises(DescriptionError, match="lf_tibia.*2 joint"):
+    with pytest.raises(DescriptionError, match=r"lf_tibia.*2 joint"):
         urdf(spec.compile(), "hexapod", velocity=6.0)
