@@ -34,7 +34,7 @@ def stand_height() -> float:
 
 
 @functools.cache
-def hexapod() -> Rig:
+def hexapod_rig() -> Rig:
     """The built-in hexapod of the contract."""
     d = dimensions()
     nominal, bounds, noise = d["nominal"], d["range"], d["noise"]

@@ -1,0 +1,86 @@
+"""From commands to what the servos track: latency, lost messages, quantisation, dead band, and the linear ramp.
+
+B simulations, J joints. A servo ramps linearly from where its ramp stands to the target. The ramp is sampled at the
+middle of each physics step, since a step holds its control; sampling at its end would look like a latency.
+"""
+
+import numpy as np
+
+from tcbi_sim.fields import CommandFields
+
+
+class CommandPath:
+    """The commands in flight and the ramp of every servo, in simulator time (s)."""
+
+    def __init__(self, fields: CommandFields, rngs: list[np.random.Generator]):
+        count, joints = fields.latency.shape
+        self.fields = fields
+        self._rngs = rngs
+        self._from = np.zeros((count, joints))
+        self._to = np.zeros((count, joints))
+        self._start = np.zeros((count, joints))
+        self._ramp = np.zeros((count, joints))
+        self._accepted = np.zeros((count, joints))  # what the dead band compares with
+        self._pending: list[tuple[np.ndarray, np.ndarray, float]] = []  # (activation (B, J), target (B, J), ramp)
+
+    def hold(self, ids: np.ndarray, target: np.ndarray, rngs: list[np.random.Generator]) -> None:
+        """Stand at `target` (n, J) and forget what was in flight for these simulations."""
+        for array in (self._from, self._to, self._accepted):
+            array[ids] = target
+        self._ramp[ids] = 0.0
+        for activation, _, _ in self._pending:
+            activation[ids] = np.inf
+        for i, rng in zip(ids, rngs, strict=True):
+            self._rngs[i] = rng
+
+    def give(self, time: float, target: np.ndarray, ramp: float) -> None:
+        """Send `target` (B, J) at `time`; a row of NaN is no command for that simulation."""
+        f = self.fields
+        with np.errstate(invalid="ignore", divide="ignore"):
+            target = np.where(f.quantum > 0, np.round(target / f.quantum) * f.quantum, target)
+        target = np.where(np.abs(target - self._accepted) > f.deadband, target, self._accepted)
+        lost = np.isnan(target).any(axis=1)
+        for i in np.flatnonzero(f.loss > 0):
+            lost[i] |= self._rngs[i].random() < f.loss[i]
+        self._accepted = np.where(lost[:, None], self._accepted, target)
+        activation = np.where(lost[:, None], np.inf, time + f.latency)
+        self._pending.append((activation, self._accepted.copy(), ramp))
+
+    def references(self, midpoints: np.ndarray) -> np.ndarray:
+        """What the servos track at these times, (B, n, J), for n increasing times (s)."""
+        count, joints = self._from.shape
+        out = np.empty((count, len(midpoints), joints))
+        self._evaluate(out, midpoints)
+        end = midpoints[-1]
+        waiting = []
+        for activation, target, ramp in self._pending:
+            begins = activation <= end
+            if begins.any():
+                self._begin(begins, activation, target, ramp)
+                later = begins[:, None, :] & (midpoints[None, :, None] >= activation[:, None, :])
+                out[later] = self._value(midpoints[None, :, None])[later]
+            if np.any(np.isfinite(activation) & ~begins):
+                waiting.append((np.where(begins, np.inf, activation), target, ramp))
+        self._pending = waiting
+        return out + self.fields.offset[:, None, :]
+
+    def _evaluate(self, out: np.ndarray, times: np.ndarray) -> None:
+        out[...] = self._value(times[None, :, None])
+
+    def _value(self, times: np.ndarray) -> np.ndarray:
+        ramp = self._ramp[:, None, :]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.clip((times - self._start[:, None, :]) / ramp, 0.0, 1.0)
+        share = np.where(ramp > 0, share, 1.0)
+        return self._from[:, None, :] + share * (self._to - self._from)[:, None, :]
+
+    def _begin(self, where: np.ndarray, at: np.ndarray, target: np.ndarray, ramp: float) -> None:
+        start = np.where(where, at, 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(self._ramp > 0, np.clip((start - self._start) / self._ramp, 0.0, 1.0), 1.0)
+        now = self._from + share * (self._to - self._from)
+        self._from = np.where(where, now, self._from)
+        self._to = np.where(where, target, self._to)
+        self._start = np.where(where, at, self._start)
+        slowest = np.abs(target - now) / self.fields.speed
+        self._ramp = np.where(where, np.maximum(ramp, slowest), self._ramp)

@@ -1,0 +1,100 @@
+"""A physical effect: what it is, where it is known from, its parameters, and how it changes a simulation.
+
+An effect is one small file in `effects/` (or in a folder of the user's own) that defines `EFFECT`. A use of an effect in a
+model is written `name`, or `name:site` for an effect that has a choice of place (a leg, a joint).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from tcbi_sim.fields import Fields
+from tcbi_sim.parameter import Parameter
+from tcbi_sim.rig import Rig
+
+Values = dict[str, np.ndarray]
+Apply = Callable[[Fields, Rig, str, Values], None]
+
+
+def everywhere(rig: Rig) -> tuple[str, ...]:
+    """An effect without a choice of place."""
+    return ("",)
+
+
+def each_leg(rig: Rig) -> tuple[str, ...]:
+    """An effect of one leg."""
+    return tuple(rig.legs)
+
+
+def each_joint(rig: Rig) -> tuple[str, ...]:
+    """An effect of one joint."""
+    return rig.joint_names
+
+
+def any_rig(rig: Rig) -> str:
+    """No requirement."""
+    return ""
+
+
+def position_servos(rig: Rig) -> str:
+    """Only for rigs whose commands are positions."""
+    return "" if rig.kind == "position" else "its commands are torques, not positions"
+
+
+def floating_rig(rig: Rig) -> str:
+    """Only for robots that stand free on the ground."""
+    return "" if rig.floating else "it does not stand on the ground"
+
+
+def rig_with_imu(rig: Rig) -> str:
+    """Only for rigs with an IMU."""
+    return "" if rig.has_imu else "it has no IMU"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A physical effect that a model may lack."""
+
+    name: str
+    physics: str  # a paragraph
+    source: str
+    parameters: tuple[Parameter, ...]  # each with its null value
+    apply: Apply  # writes B simulations' fields; adds to or multiplies what stands there
+    edit: Callable[[mujoco.MjSpec, Rig, str], None] | None = None  # structural change, without parameters
+    update: Callable[[Fields, Rig, str, Values, "State", float], None] | None = None  # before each sample, for what drifts
+    sites: Callable[[Rig], tuple[str, ...]] = everywhere
+    requires: Callable[[Rig], str] = any_rig  # "" or why this rig cannot have it
+
+
+@dataclass
+class State:
+    """What an effect that changes with time may look at: the state before a sample interval."""
+
+    time: float  # s
+    joint_position: np.ndarray  # (B, J) rad
+    joint_velocity: np.ndarray  # (B, J) rad/s
+    actuator_force: np.ndarray  # (B, J) N m
+
+
+@dataclass(frozen=True)
+class EffectUse:
+    """An effect at a place: `weak_leg:lm`."""
+
+    effect: Effect
+    site: str
+
+    @property
+    def key(self) -> str:
+        """How the use is written."""
+        return f"{self.effect.name}:{self.site}" if self.site else self.effect.name
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The effect's parameters under their qualified names, `weak_leg:lm.scale`."""
+        return tuple(replace(p, name=f"{self.key}.{p.name}") for p in self.effect.parameters)
+
+    def values(self, row: dict[str, np.ndarray]) -> Values:
+        """This use's part of all parameters' values, under the effect's own names."""
+        return {p.name: row[f"{self.key}.{p.name}"] for p in self.effect.parameters}

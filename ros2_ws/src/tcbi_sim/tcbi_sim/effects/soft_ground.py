@@ -1,0 +1,22 @@
+"""Ground or feet that give way."""
+
+from tcbi_sim.effect import Effect, Values, floating_rig
+from tcbi_sim.fields import Fields
+from tcbi_sim.parameter import Parameter
+from tcbi_sim.rig import Rig
+
+
+def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
+    ground = [g for g in range(fields.mj.ngeom) if fields.mj.geom(g).contype[0] == 1]
+    fields.model["geom_solref"][:, ground, 0] += values["time_constant"][:, None]
+
+
+EFFECT = Effect(
+    name="soft_ground",
+    physics="Foam, carpet or rubber feet let a foot sink and spring back over tens of milliseconds. The trunk settles after each step "
+    "and contacts come late.",
+    source="MuJoCo: solver parameters (solref time constant)",
+    parameters=(Parameter("time_constant", "s", 0.0, 0.08, 0.02, null=0.0, description="added to the contact's own"),),
+    apply=apply,
+    requires=floating_rig,
+)

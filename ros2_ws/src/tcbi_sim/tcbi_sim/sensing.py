@@ -1,0 +1,128 @@
+"""From true signals to readings: mounting tilt, zero offsets, bias and latency of the sensors."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from tcbi_sim.fields import SensingFields
+from tcbi_sim.measurement import quaternion_from_rpy
+from tcbi_sim.rig import Noise
+
+
+@dataclass
+class Samples:
+    """Sensor samples of B simulations at n times."""
+
+    time: np.ndarray  # (n,) s, simulator time
+    joint_position: np.ndarray  # (B, n, J) rad
+    attitude: np.ndarray | None  # (B, n, 4) w x y z
+    angular_velocity: np.ndarray | None  # (B, n, 3) rad/s
+    linear_acceleration: np.ndarray | None  # (B, n, 3) m/s^2
+    contact: np.ndarray | None  # (B, n, F) bool
+    position: np.ndarray | None  # (B, n, 3) m
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """The arrays with a time axis at position 1."""
+        return tuple(f.name for f in dataclasses.fields(cls) if f.name != "time")
+
+    def map(self, change) -> "Samples":
+        """The same with `change` applied to every array that is there, `time` left alone."""
+        values = {n: getattr(self, n) for n in self.names()}
+        return dataclasses.replace(self, **{n: None if v is None else change(v) for n, v in values.items()})
+
+    @staticmethod
+    def concatenate(parts: "list[Samples]") -> "Samples":
+        """Consecutive samples joined along time."""
+        joined = {"time": np.concatenate([p.time for p in parts])}
+        for name in Samples.names():
+            first = getattr(parts[0], name)
+            joined[name] = None if first is None else np.concatenate([getattr(p, name) for p in parts], axis=1)
+        return Samples(**joined)
+
+
+def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Product of quaternions (..., 4), w x y z."""
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def rotate_back(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) seen from the frame that `quaternion` (..., 4) turns to."""
+    w, u = quaternion[..., :1], -quaternion[..., 1:]
+    crossed = 2 * np.cross(u, vector)
+    return vector + w * crossed + np.cross(u, crossed)
+
+
+def sense(raw: Samples, fields: SensingFields) -> Samples:
+    """Readings without latency: offsets, bias and tilt applied to the true signals."""
+    sensed = dataclasses.replace(raw, joint_position=raw.joint_position - fields.joint_offset[:, None, :])
+    if raw.angular_velocity is not None:
+        sensed.angular_velocity = raw.angular_velocity + fields.gyro_bias[:, None, :]
+    if raw.attitude is not None and fields.imu_tilt.any():
+        tilt = quaternion_from_rpy(fields.imu_tilt[:, 0], fields.imu_tilt[:, 1], np.zeros(len(fields.imu_tilt)))[:, None, :]
+        sensed.attitude = multiply(raw.attitude, tilt)
+        tilted = np.broadcast_to(tilt, raw.attitude.shape)
+        for name in ("angular_velocity", "linear_acceleration"):
+            values = getattr(sensed, name)
+            if values is not None:
+                setattr(sensed, name, rotate_back(tilted, values))
+    return sensed
+
+
+def delay(samples: Samples, latency: np.ndarray, times: np.ndarray) -> Samples:
+    """Readings as they arrive at `times` (n,) when each simulation's sensors lag by `latency` (B,) s."""
+    wanted = np.maximum(times[None, :] - latency[:, None], samples.time[0])
+    after = np.clip(np.searchsorted(samples.time, wanted), 1, max(1, len(samples.time) - 1))
+    if len(samples.time) == 1:
+        return dataclasses.replace(samples.map(lambda v: np.repeat(v, len(times), axis=1)), time=times)
+    before = after - 1
+    share = (wanted - samples.time[before]) / (samples.time[after] - samples.time[before])
+    share = np.clip(share, 0.0, 1.0)
+    rows = np.arange(len(latency))[:, None]
+
+    def pick(values: np.ndarray) -> np.ndarray:
+        low, high = values[rows, before], values[rows, after]
+        if values.dtype == bool:
+            return np.where((share >= 1.0)[..., None], high, low)
+        return low + share[..., None] * (high - low)
+
+    delayed = dataclasses.replace(samples.map(pick), time=times)
+    if delayed.attitude is not None:
+        delayed.attitude /= np.linalg.norm(delayed.attitude, axis=-1, keepdims=True)
+    return delayed
+
+
+def add_noise(samples: Samples, noise: Noise, rng: np.random.Generator) -> Samples:
+    """White noise and the encoder's steps, as the rig's sensors have them."""
+
+    def noisy(values: np.ndarray | None, sd: float) -> np.ndarray | None:
+        return None if values is None else values + sd * rng.standard_normal(values.shape)
+
+    joints = noisy(samples.joint_position, noise.joint_position)
+    assert joints is not None
+    if noise.encoder_step:
+        joints = np.round(joints / noise.encoder_step) * noise.encoder_step
+    attitude = samples.attitude
+    if attitude is not None:
+        small = noise.attitude / 2 * rng.standard_normal((*attitude.shape[:-1], 3))
+        attitude = multiply(attitude, np.concatenate([np.ones((*small.shape[:-1], 1)), small], axis=-1))
+        attitude = attitude / np.linalg.norm(attitude, axis=-1, keepdims=True)
+    return dataclasses.replace(
+        samples,
+        joint_position=joints,
+        attitude=attitude,
+        angular_velocity=noisy(samples.angular_velocity, noise.angular_velocity),
+        linear_acceleration=noisy(samples.linear_acceleration, noise.linear_acceleration),
+        position=noisy(samples.position, noise.position),
+    )
