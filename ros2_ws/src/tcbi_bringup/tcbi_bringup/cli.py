@@ -1,0 +1,145 @@
+"""The `tcbi` command: a table of commands, each in a module of its own that is imported only when it is called."""
+
+import argparse
+import difflib
+import importlib
+import importlib.util
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from types import ModuleType
+
+from tcbi_contract.errors import TcbiError
+
+OK, FAULT, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+
+@dataclass(frozen=True)
+class Command:
+    """One line of the table.
+
+    Attributes:
+      name: as typed.
+      group: heading in `--help`.
+      summary: one line, kept here so that `--help` imports nothing.
+    """
+
+    name: str
+    group: str
+    summary: str
+
+    @property
+    def module(self) -> str:
+        """Where the command lives."""
+        return f"tcbi_bringup.commands.{self.name.replace('-', '_')}"
+
+
+GROUPS = {
+    "start": "Start here",
+    "record": "1. Record",
+    "compare": "2. Compare, locate",
+    "explain": "3. Explain, add",
+    "infer": "4. Infer, retrain",
+    "watch": "5. Watch",
+    "graph": "The graph",
+    "develop": "For developers",
+}
+
+COMMANDS = (
+    Command("demo", "start", "the whole loop on an emulated robot with a hidden effect"),
+    Command("up", "start", "start the graph of nodes: on a simulation, an emulated robot or a real one"),
+    Command("doctor", "start", "check environment, ports, topics and rates, and say what to do"),
+    Command("collect", "record", "record rollouts of a task from the running graph, one bag each"),
+    Command("import", "record", "turn a log of another format into bags"),
+    Command("recover", "record", "repair a bag that was cut off"),
+    Command("replay", "record", "play bags into the running graph, at any speed"),
+    Command("compare", "compare", "error of a model on bags, per signal and joint, beside the noise floor"),
+    Command("diagnose", "explain", "which physical effect is missing: a ranking and a verdict"),
+    Command("add", "explain", "make a new model version with an effect in it"),
+    Command("infer", "infer", "posterior of the parameters from bags"),
+    Command("train", "infer", "train a policy for a task on a model"),
+    Command("retrain", "infer", "train the running policy's successor on the posterior"),
+    Command("history", "watch", "the error of each model version"),
+    Command("export-model", "watch", "write a model version as MJCF"),
+    Command("view", "watch", "show a model version, or render a picture and a video"),
+    Command("run", "graph", "start one executable of one package, with --ros-args as usual"),
+    Command("bench", "develop", "measure the product: accuracy, speed, robustness"),
+    Command("test", "develop", "run linter, type checker and all tests, or the tests of one path"),
+)
+
+
+def available() -> tuple[Command, ...]:
+    """Commands whose module is installed (a driver-only machine has fewer)."""
+    return tuple(c for c in COMMANDS if importlib.util.find_spec(c.module) is not None)
+
+
+def overview() -> str:
+    """The text of `./tcbi --help`."""
+    lines = ["usage: ./tcbi COMMAND [options]      (./tcbi COMMAND --help explains each)", ""]
+    for key, title in GROUPS.items():
+        commands = [c for c in available() if c.group == key]
+        if commands:
+            lines += [title, *(f"  {c.name:14} {c.summary}" for c in commands), ""]
+    lines += ["  python ARGS    the interpreter of this environment", ""]
+    lines += ["Exit status: 0 done, 1 the input or the machine is at fault, 2 wrong usage."]
+    return "\n".join(lines)
+
+
+def find(name: str) -> Command | None:
+    """The command of that name, or None."""
+    return next((c for c in available() if c.name == name), None)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command line; returns the exit status."""
+    words = sys.argv[1:] if argv is None else argv
+    try:
+        return dispatch(words)
+    except TcbiError as e:
+        print(f"tcbi: {e}", file=sys.stderr)
+        return FAULT
+    except KeyboardInterrupt:
+        print("tcbi: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has gone; nothing more to flush
+        return OK
+
+
+def dispatch(words: list[str]) -> int:
+    """Find the command, parse its arguments, run it."""
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(overview())
+        return OK if words else USAGE
+    command = find(words[0])
+    if command is None:
+        print(f"tcbi: {unknown(words[0])}", file=sys.stderr)
+        return USAGE
+    module = importlib.import_module(command.module)
+    try:
+        args = parser_for(command, module).parse_args(words[1:])
+    except SystemExit as e:  # argparse has printed what is wrong, or the help
+        return int(e.code or OK)
+    return int(module.run(args))
+
+
+def parser_for(command: Command, module: ModuleType) -> argparse.ArgumentParser:
+    """The parser of one command, with its summary as description."""
+    parser = argparse.ArgumentParser(
+        prog=f"tcbi {command.name}", description=module.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    module.add_arguments(parser)
+    return parser
+
+
+def unknown(name: str) -> str:
+    """What to say about a command that does not exist."""
+    close = difflib.get_close_matches(name, [c.name for c in available()], n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"unknown command {name!r}; {hint}./tcbi --help lists all"
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    sys.exit(main())

@@ -1,0 +1,185 @@
+"""What the commands share: arguments, output and progress.
+
+    def add_arguments(parser):
+        console.add_examples(parser, "./tcbi compare bags/*", "./tcbi compare bag --model hexapod-v1 --json")
+        console.add_json(parser)
+        console.add_store(parser)                      # --store FOLDER, default `~/.local/share/tcbi`
+
+    def run(args) -> int:
+        with console.progress("simulating", total=50) as advance:   # a bar with ETA on standard error, lines if no terminal
+            for ... : advance(1)                       # or advance(done=12), advance(note="generation 3")
+        console.note("read 3 bags")                    # a line for people on standard error
+        if args.json:
+            console.emit(result)                       # one JSON object on standard output; numpy-safe, NaN -> null
+        else:
+            console.table("title", ["signal", "error"], rows)
+
+Errors are raised as TcbiError; `cli` prints them in one line and exits with 1.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+LINE_PERIOD_S = 10.0  # between two lines of progress where standard error is no terminal
+
+
+def add_examples(parser: argparse.ArgumentParser, *examples: str) -> None:
+    """Show example calls below the options of `--help`."""
+    parser.epilog = "examples:\n" + "\n".join(f"  {example}" for example in examples)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """`--json`: one object on standard output, everything else on standard error."""
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output and nothing else there")
+
+
+def add_store(parser: argparse.ArgumentParser) -> None:
+    """`--store FOLDER`; leave the default to ModelStore by passing on None."""
+    parser.add_argument(
+        "--store",
+        type=Path,
+        default=Path(os.environ["TCBI_STORE"]) if os.environ.get("TCBI_STORE") else None,
+        metavar="FOLDER",
+        help="where models, policies, rollouts and runs are kept (default: TCBI_STORE or ~/.local/share/tcbi)",
+    )
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON knows it: numpy as numbers and lists, dataclasses as objects, NaN and infinity as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, (str, int, bool)) or value is None:
+        return value
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in (sorted(value) if isinstance(value, (set, frozenset)) else value)]
+    return str(value)
+
+
+def emit(result: Any) -> None:
+    """Print one JSON object to standard output."""
+    print(json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False), flush=True)
+
+
+def note(text: str) -> None:
+    """One line for people, on standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """A table for people on standard output; numbers right, with four significant digits."""
+    import rich.box
+    import rich.console
+    import rich.table
+
+    grid = rich.table.Table(title=title or None, title_justify="left", box=rich.box.SIMPLE_HEAD, pad_edge=False)
+    for i, column in enumerate(columns):
+        numeric = bool(rows) and all(_is_number(row[i]) or row[i] is None for row in rows)
+        grid.add_column(column, justify="right" if numeric else "left", overflow="fold")
+    for row in rows:
+        grid.add_row(*(_cell(value) for value in row))
+    width = None if sys.stdout.isatty() else 120
+    rich.console.Console(width=width, highlight=False, markup=False).print(grid)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(plain(value), (int, float)) and not isinstance(plain(value), bool)
+
+
+def _cell(value: Any) -> str:
+    value = plain(value)
+    if value is None:
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+@contextlib.contextmanager
+def progress(text: str, total: float | None = None) -> Iterator[Callable[..., None]]:
+    """Progress of one piece of work on standard error: a bar with the time left, or plain lines if no terminal.
+
+    Args:
+      text: what is being done.
+      total: number of steps, None while unknown.
+
+    Yields: `advance(steps=1, *, done=None, total=None, note=None)`; `done` sets the count instead of adding to it.
+    """
+    reporter = _Bar(text, total) if sys.stderr.isatty() else _Lines(text, total)
+    try:
+        yield reporter.advance
+    finally:
+        reporter.close()
+
+
+class _Bar:
+    def __init__(self, text: str, total: float | None) -> None:
+        import rich.console
+        from rich import progress as bars
+
+        self._text = text
+        self._progress = bars.Progress(
+            bars.TextColumn("{task.description}"),
+            bars.BarColumn(bar_width=30),
+            bars.MofNCompleteColumn(),
+            bars.TimeElapsedColumn(),
+            bars.TextColumn("left"),
+            bars.TimeRemainingColumn(),
+            console=rich.console.Console(stderr=True),
+            transient=True,
+        )
+        self._task = self._progress.add_task(text, total=total)
+        self._progress.start()
+
+    def advance(
+        self, steps: float = 1, *, done: float | None = None, total: float | None = None, note: str | None = None
+    ) -> None:
+        changes: dict[str, Any] = {"completed": done} if done is not None else {"advance": steps}
+        if total is not None:
+            changes["total"] = total
+        if note is not None:
+            changes["description"] = f"{self._text}: {note}"
+        self._progress.update(self._task, **changes)
+
+    def close(self) -> None:
+        self._progress.stop()
+
+
+class _Lines:
+    def __init__(self, text: str, total: float | None) -> None:
+        self._text, self._total, self._done, self._note = text, total, 0.0, ""
+        self._began = self._shown = time.monotonic()
+
+    def advance(
+        self, steps: float = 1, *, done: float | None = None, total: float | None = None, note: str | None = None
+    ) -> None:
+        self._done = done if done is not None else self._done + steps
+        self._total = total if total is not None else self._total
+        self._note = note if note is not None else self._note
+        if time.monotonic() - self._shown >= LINE_PERIOD_S:
+            self._show()
+
+    def _show(self) -> None:
+        self._shown = time.monotonic()
+        elapsed = self._shown - self._began
+        words = [f"{self._text}: {self._done:g}" + (f"/{self._total:g}" if self._total else ""), f"{elapsed:.0f} s"]
+        if self._total and self._done:
+            words.append(f"{max(0.0, elapsed * (self._total / self._done - 1)):.0f} s left")
+        note(", ".join(words + ([self._note] if self._note else [])))
+
+    def close(self) -> None:
+        if self._shown > self._began:
+            self._show()
