@@ -121,9 +121,7 @@ def _torch_arguments(torch: str, environment: dict[str, str]) -> tuple[list[str]
             f"TCBI_TORCH=cpu: found no CPU build of torch {version} for this Python, neither in pip's find-links nor "
             "in the index that uv knows; allow that index, or use TCBI_TORCH=auto, which takes the ordinary build"
         )
-    say(
-        f"      no CPU build of torch {version} within reach: taking the ordinary one with CUDA (2 GB to fetch, 5 GB on disk)"
-    )
+    say(f"no CPU build of torch {version} within reach: taking the ordinary one with CUDA ({CUDA_SIZE})")
     return everything, "cuda"
 
 

@@ -8,24 +8,10 @@ from pathlib import Path
 from tcbi_setup.layout import LOG, PYTHON, SOURCE, STATE, VENV, WORKSPACE, SetupError, digest, read, remove, write
 from tcbi_setup.progress import run
 
-_INPUTS = (
-    "package.xml",
-    "setup.py",
-    "setup.cfg",
-    "CMakeLists.txt",
-    "resource/*",
-    "msg/*.msg",
-    "srv/*.srv",
-    "action/*.action",
-)
-_CAPTURED = (
-    "AMENT_PREFIX_PATH",
-    "CMAKE_PREFIX_PATH",
-    "COLCON_PREFIX_PATH",
-    "LD_LIBRARY_PATH",
-    "PYTHONPATH",
-    "PKG_CONFIG_PATH",
-)
+_INTERFACES = ("msg/*.msg", "srv/*.srv", "action/*.action")
+_INPUTS = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "resource/*", *_INTERFACES)
+_PREFIXES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH")
+_CAPTURED = (*_PREFIXES, "LD_LIBRARY_PATH", "PYTHONPATH", "PKG_CONFIG_PATH")
 
 
 def packages() -> list[Path]:
@@ -98,4 +84,6 @@ def _captured_environment() -> str:
     found = dict(item.partition("=")[::2] for item in result.stdout.split("\0"))
     if result.returncode or str(WORKSPACE) not in found.get("AMENT_PREFIX_PATH", ""):
         raise SetupError(f"sourcing {script} failed: {result.stderr.strip()[-300:]}; remove {WORKSPACE} and call again")
-    return "".join(f"export {name}={shlex.quote(found[name])}\n" for name in _CAPTURED if found.get(name))
+    return "".join(
+        f"export {name}={shlex.quote(found[name].strip(os.pathsep))}\n" for name in _CAPTURED if found.get(name)
+    )

@@ -6,7 +6,7 @@
         console.add_store(parser)                      # --store FOLDER, default `~/.local/share/tcbi`
 
     def run(args) -> int:
-        with console.progress("simulating", total=50) as advance:   # a bar with ETA on standard error, lines if no terminal
+        with console.progress("simulating", total=50) as advance:   # bar with ETA, or lines, on stderr
             for ... : advance(1)                       # or advance(done=12), advance(note="generation 3")
         console.note("read 3 bags")                    # a line for people on standard error
         if args.json:
