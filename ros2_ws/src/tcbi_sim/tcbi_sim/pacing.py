@@ -26,7 +26,7 @@ class Pacer:
         self._steady0 = 0  # steady time of the grid's zero
         self._offset = 0  # ROS time minus steady time on this grid
         self._count = 0  # samples made on this grid
-        self._last = 0  # last stamp given
+        self._last = -period_ns  # last stamp given
 
     def restart(self, steady: int, ros: int) -> int:
         """A new grid from now on: the stamp of its zero, later than every stamp given before."""
