@@ -28,6 +28,7 @@ from tcbi_setup.wheels import patch_cmake_files
 UV_VERSION = "0.13.8"
 PROBE_TIMEOUT_S = 30
 SPACE_GB = {"cpu": 4.0, "cuda": 12.0}
+CUDA_SIZE = "2 GB to fetch, 5 GB on disk"
 CHOICES = ("auto", "cpu", "cuda")
 NETWORK = "check the network (or pip's index and certificate settings) and call again"
 
