@@ -1,8 +1,9 @@
 """When a simulated clock may move: one window of control for each command that bears the present time.
 
-The clock stands still by itself. A command stamped with the present time runs the next window, so a slow policy is waited
-for and nothing is lost. Within an episode the wait is bounded: a policy that died does not stop the rollout. An episode ends
-at a time known from the reset, so that the same seeds leave the same bytes, however late the caller stops the policy.
+The clock stands still by itself. A command stamped with the present time runs the next window, so a slow policy is
+waited for and nothing is lost. Within an episode the wait is bounded: a policy that died does not stop the rollout. An
+episode ends at a time known from the reset, so that the same seeds leave the same bytes, however late the caller stops
+the policy.
 
     clock = LockstepClock(timeout_s=2.0)
     start = clock.reset(duration_ns=8_000_000_000, wall_s=time.monotonic())

@@ -1,7 +1,7 @@
 """Real time for a simulation that makes one sample every period: how many are due, and with which stamps.
 
-Stamps lie on an exact grid, since each sample is of a known simulated time; only their delivery jitters. If the machine was
-held up for long, or somebody moved the clock, the grid jumps forward once instead of the simulation racing after it.
+Stamps lie on an exact grid, since each sample is of a known simulated time; only their delivery jitters. If the machine
+was held up for long, or somebody moved the clock, the grid jumps forward once instead of the simulation racing after it.
 
     pacer = Pacer(period_ns=20_000_000)
     pacer.restart(steady_ns, ros_ns)
@@ -38,8 +38,8 @@ class Pacer:
     def due(self, steady: int, ros: int) -> int:
         """How many samples should exist by now and do not.
 
-        Jumps forward if more than MAX_LAG_NS behind, or if the ROS clock ran ahead of the grid; a ROS clock that was set back
-        is followed at the next `restart`, since stamps never go back.
+        Jumps forward if more than MAX_LAG_NS behind, or if the ROS clock ran ahead of the grid; a ROS clock that was set
+        back is followed at the next `restart`, since stamps never go back.
         """
         behind = steady - self._steady0 - self._count * self._period
         if behind > MAX_LAG_NS or ros - steady - self._offset > MAX_DRIFT_NS:
@@ -55,6 +55,6 @@ class Pacer:
         return self._last
 
     def since_last(self, steady: int) -> float:
-        """Seconds from the last sample to now, between zero and one period: where in the coming sample a command falls."""
+        """Seconds from the last sample to now, at most one period: where before the coming sample a command falls."""
         behind = steady - self._steady0 - self._count * self._period
         return 1e-9 * min(max(behind, 0), self._period)

@@ -1,5 +1,7 @@
 """The simulated clock moves by commands alone, stops where the episode ends, and waits no longer than it may."""
 
+import itertools
+
 import pytest
 
 from tcbi_sim.lockstep import SECOND, WINDOW, LockstepClock
@@ -32,7 +34,7 @@ def test_episodes_start_at_whole_seconds_later_than_anything_before(clock):
         starts.append(clock.reset(None, 0.0))
         assert starts[-1] % SECOND == 0
         run(clock, windows)
-    assert all(b > a for a, b in zip(starts, starts[1:], strict=False))
+    assert all(b > a for a, b in itertools.pairwise(starts))
     assert clock.reset(None, 0.0) > starts[-1] + 25 * WINDOW
 
 
