@@ -45,6 +45,7 @@ class Rig:
     has_imu: bool = False
     kind: str = "position"  # what a command is: a servo's position, or torque
     joint_range: float = np.pi  # rad, either side of zero
+    speed_limit: float = 2 * np.pi  # rad/s, of a joint without load
     stand_height: float = 0.0  # m, trunk above the ground in the neutral stance
     contact_threshold: float = 0.0  # N
     rate: float = 50.0  # Hz, of its sensors

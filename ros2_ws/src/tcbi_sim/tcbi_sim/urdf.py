@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from tcbi_sim.errors import SimError
+from tcbi_sim.rig import load_rig
 
 _SHAPES = {
     int(mujoco.mjtGeom.mjGEOM_BOX),
@@ -56,6 +57,12 @@ def urdf(model: mujoco.MjModel, name: str, velocity: float, root: str | None = N
             _frame(robot, model, site)
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def describe_rig(name: str) -> str:
+    """The URDF of a built-in rig at its nominal parameters."""
+    rig = load_rig(name)
+    return urdf(rig.build(0).compile(), rig.name, rig.speed_limit)
 
 
 def _root(model: mujoco.MjModel, root: str | None) -> int:

@@ -71,6 +71,7 @@ def hexapod_rig() -> Rig:
         floating=True,
         has_imu=True,
         joint_range=d["joint"]["range"],
+        speed_limit=d["servo"]["speed_limit"],
         stand_height=stand_height(),
         contact_threshold=d["foot_switch"]["threshold"],
         groups=groups,
