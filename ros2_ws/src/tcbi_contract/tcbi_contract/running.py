@@ -1,7 +1,7 @@
 """How every node process starts and ends: 0 on Ctrl-C or SIGTERM, 1 with one line when it is set up wrongly.
 
-    def main(args=None) -> int:
-        return run("sim_node", SimNode, args)
+def main(args=None) -> int:
+    return run("sim_node", SimNode, args)
 """
 
 import sys
@@ -37,7 +37,7 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (TcbiError, InvalidParameterException, InvalidParameterValueException) as error:
-        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.stderr.write(f"{name}: {' '.join(str(error).split())}\n")
         return 1
     finally:
         if node is not None:

@@ -1,7 +1,7 @@
 """Real time for a simulation that makes one sample every period: how many are due, and with which stamps.
 
 Stamps lie on an exact grid, since each sample is of a known simulated time; only their delivery jitters. If the machine
-was held up for long, or somebody moved the clock, the grid jumps forward once instead of the simulation racing after it.
+was held up for long, or somebody moved the clock, the grid jumps forward once: the simulation does not race after it.
 
     pacer = Pacer(period_ns=20_000_000)
     pacer.restart(steady_ns, ros_ns)
@@ -38,7 +38,7 @@ class Pacer:
     def due(self, steady: int, ros: int) -> int:
         """How many samples should exist by now and do not.
 
-        Jumps forward if more than MAX_LAG_NS behind, or if the ROS clock ran ahead of the grid; a ROS clock that was set
+        Jumps forward if more than MAX_LAG_NS behind, or if the ROS clock ran ahead of the grid. A clock that was set
         back is followed at the next `restart`, since stamps never go back.
         """
         behind = steady - self._steady0 - self._count * self._period
