@@ -1,0 +1,225 @@
+"""One simulated robot that obeys commands as the real one does: limits, silence, emergency stop, sensor noise.
+
+    live = LiveSimulation(model, scenario, seed=3)
+    first = live.reset(scenario)
+    live.command(target, duration_s=0.2)              # refused as the robot would refuse it
+    for reading in live.advance(10): ...              # the next ten samples
+
+Time is the simulation's own, in seconds; it goes on over resets. Everything random comes from the seed of the last reset,
+so that the same scenario, seed and commands give the same bits.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tcbi_contract.safety import CommandRefused, Limits, Mode, Move, Safety
+from tcbi_sim.engine import Simulator
+from tcbi_sim.errors import SimError
+from tcbi_sim.measurement import Scenario
+from tcbi_sim.model import Model
+from tcbi_sim.rig import load_rig
+from tcbi_sim.sensing import Samples, add_noise
+
+NOISE_STREAM, DRAW_STREAM = 104_729, 1_299_709  # children of a seed, apart from those of scenario and engine
+POSTURE_RAMP_S = 0.2
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the robot's sensors say at one instant.
+
+    Attributes:
+      joint_position: (J,) rad.
+      orientation: (4,) base in world, x y z w.
+      angular_velocity: (3,) rad/s in `imu_link`.
+      linear_acceleration: (3,) m/s^2 with gravity in `imu_link`.
+      contact: (F,) bool.
+      position: (3,) m, base in world, as a tracker sees it.
+    """
+
+    joint_position: np.ndarray
+    orientation: np.ndarray
+    angular_velocity: np.ndarray
+    linear_acceleration: np.ndarray
+    contact: np.ndarray
+    position: np.ndarray
+
+
+class LiveSimulation:
+    """A robot in simulation, with the electronics' manners.
+
+    Attributes:
+      model: in use.
+      scenario: of the last reset.
+      safety: what the robot may do now.
+      refused: commands refused since the last reset.
+      reason: why the last one was.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        scenario: Scenario,
+        *,
+        timestep: float = 0.002,
+        noise: bool = True,
+        draw: bool = False,
+        limits: Limits | None = None,
+    ):
+        """Stand the robot at the scenario's start, limp.
+
+        Args:
+          model: whose rig must have joints, IMU and feet as the contract says.
+          scenario: of the first episode.
+          timestep: s, of the physics.
+          noise: whether the sensors have the rig's noise and encoder steps.
+          draw: take the physical parameters from the model's distribution by each scenario's seed; else its mean.
+          limits: of the commands; the robot's own by default.
+        """
+        self.limits = limits or Limits()
+        self.safety = Safety(self.limits)
+        self.refused, self.reason = 0, ""
+        self._timestep, self._noise, self._draw = timestep, noise, draw
+        self._load(model, scenario)
+
+    @property
+    def period(self) -> float:
+        """Seconds between samples."""
+        return 1 / self._simulator.rate
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the physics broke down; only a reset mends it."""
+        return bool(self._simulator.diverged[0])
+
+    @property
+    def simulator(self) -> Simulator:
+        """The engine behind it."""
+        return self._simulator
+
+    def reset(self, scenario: Scenario, model: Model | None = None) -> Reading:
+        """Put the robot at the start of an episode, holding its initial posture.
+
+        Raises:
+          CommandRefused: the emergency stop stands.
+        """
+        if self.safety.mode is Mode.STOPPED:
+            raise CommandRefused("reset: the emergency stop stands; call emergency_stop/release first")
+        model = model or self.model
+        if model is not self.model or len(scenario.blocks) > self._room:
+            self._load(model, scenario)
+        else:
+            self.scenario = scenario
+            self._simulator.reset(parameters=self._parameters(), scenarios=[scenario])
+        self._rng = np.random.default_rng([scenario.seed, NOISE_STREAM])
+        self.refused, self.reason = 0, ""
+        (first,) = self._readings(self._simulator.observe())
+        self._hold(scenario)
+        return first
+
+    def command(self, target: Sequence[float], duration_s: float, later_s: float = 0.0) -> Move:
+        """Move all joints linearly from the last commanded position.
+
+        Args:
+          target: (J,) rad.
+          duration_s: of the move.
+          later_s: when it begins, after the present time and before the next sample.
+
+        Raises:
+          CommandRefused: the robot would refuse it.
+        """
+        try:
+            move = self.safety.command(self._now + later_s, target, duration_s)
+        except CommandRefused as error:
+            self.refuse(str(error))
+            raise
+        self._begin(move, later_s)
+        return move
+
+    def refuse(self, reason: str) -> None:
+        """Count a command that did not get through."""
+        self.refused, self.reason = self.refused + 1, reason
+
+    def stop(self) -> None:
+        """Emergency stop: torque off until released, and until the next reset."""
+        self.safety.stop()
+        self._simulator.set_torque(False)
+
+    def release(self) -> bool:
+        """End the emergency stop; the robot stays limp. False if none stood."""
+        return self.safety.release()
+
+    def advance(self, count: int) -> list[Reading]:
+        """Simulate and read the next `count` samples; empty once the physics has broken down."""
+        readings: list[Reading] = []
+        while count > 0 and not self.diverged:
+            step = count if self._quiet(count) else 1
+            readings += self._readings(self._simulator.advance(step * self.period))
+            if self.safety.tick(self._now):
+                self._simulator.set_torque(False)
+            count -= step
+        return [] if self.diverged else readings
+
+    # -- inside ---------------------------------------------------------------------------------------------------
+
+    @property
+    def _now(self) -> float:
+        return self._elapsed + self._simulator.time
+
+    def _load(self, model: Model, scenario: Scenario) -> None:
+        rig = load_rig(model.rig)
+        if not (rig.floating and rig.has_imu and rig.foot_names):
+            raise SimError(f"model {model.version!r} is of the rig {rig.name!r}, which is no walking robot; use a hexapod model")
+        self._elapsed = self._now if hasattr(self, "_simulator") else 0.0
+        self.model, self.scenario, self._rig = model, scenario, rig
+        self._room = len(scenario.blocks)
+        self._simulator = Simulator(model, self._parameters(), [scenario], self._timestep, threads=1)
+        self._rng = np.random.default_rng([scenario.seed, NOISE_STREAM])
+        self._simulator.set_torque(self.safety.mode is Mode.ACTIVE)
+
+    def _parameters(self) -> np.ndarray:
+        if not self._draw:
+            return self.model.mean()[None]
+        return self.model.sample(np.random.default_rng([self.scenario.seed, DRAW_STREAM]), 1)
+
+    def _hold(self, scenario: Scenario) -> None:
+        """Arm the robot in its initial posture, as the driver does at the end of its slow move there."""
+        posture = scenario.initial_joint_position or (0.0,) * len(self._rig.joint_names)
+        self.safety.go_limp("reset")
+        self.safety.measured(self._now, posture)
+        self.safety.begin_reset(self._now)
+        self.safety.command(self._now, posture, POSTURE_RAMP_S, from_reset=True)
+        self.safety.hold(self._now)
+        self._simulator.set_torque(True)
+
+    def _begin(self, move: Move, later_s: float) -> None:
+        begin = self._simulator.time + later_s
+        if move.arm:
+            self._simulator.set_torque(True)
+            self._simulator.path.give(begin, np.array([move.start]), 0.0)
+        self._simulator.path.give(begin, np.array([move.target]), move.duration_s)
+
+    def _quiet(self, count: int) -> bool:
+        """Whether nothing can go limp within `count` samples, so that they may be simulated in one go."""
+        return self.safety.mode is not Mode.ACTIVE or self.safety.remaining(self._now) > count * self.period
+
+    def _readings(self, samples: Samples) -> list[Reading]:
+        if self._noise:
+            samples = add_noise(samples, self._rig.noise, self._rng)
+        assert samples.attitude is not None and samples.angular_velocity is not None
+        assert samples.linear_acceleration is not None and samples.contact is not None and samples.position is not None
+        orientation = np.roll(samples.attitude, -1, axis=-1)
+        self.safety.measured(self._elapsed + float(samples.time[-1]), samples.joint_position[0, -1].tolist())
+        return [
+            Reading(
+                samples.joint_position[0, k],
+                orientation[0, k],
+                samples.angular_velocity[0, k],
+                samples.linear_acceleration[0, k],
+                samples.contact[0, k],
+                samples.position[0, k],
+            )
+            for k in range(len(samples.time))
+        ]

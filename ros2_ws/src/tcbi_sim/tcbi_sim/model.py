@@ -1,0 +1,117 @@
+"""A model version: a rig, the effects switched on, and a distribution of all their parameters."""
+
+import dataclasses
+import datetime
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tcbi_sim.effect import EffectUse
+from tcbi_sim.effects import find_use
+from tcbi_sim.errors import SimError
+from tcbi_sim.parameter import Parameter
+from tcbi_sim.rig import Rig, load_rig
+
+PRIOR_PARTICLES = 200
+
+
+@dataclass(frozen=True)
+class Model:
+    """One version of a model of a rig."""
+
+    version: str
+    rig: str
+    effects: tuple[str, ...]  # uses: "name" or "name:site"
+    parameters: tuple[Parameter, ...]  # the rig's own, then each effect's, with qualified names
+    particles: np.ndarray  # (N, P) physical values
+    log_weights: np.ndarray  # (N,) normalised
+    parent: str | None = None
+    evidence: dict[str, Any] = field(default_factory=dict)  # what made this version: a diagnosis, an inference
+    created: str = ""
+
+    def __post_init__(self) -> None:
+        expected = (len(self.log_weights), len(self.parameters))
+        if self.particles.shape != expected:
+            raise SimError(f"model {self.version!r}: particles have shape {self.particles.shape}, expected {expected}")
+        for column, p in zip(self.particles.T, self.parameters, strict=True):
+            slack = 1e-9 * (p.high - p.low)
+            if not np.all((column >= p.low - slack) & (column <= p.high + slack)):
+                seen = column[(column < p.low) | (column > p.high) | np.isnan(column)][0]
+                raise SimError(f"model {self.version!r}: parameter {p.name!r} is {seen}, allowed is {p.low} to {p.high} {p.unit}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, the columns of `particles`."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(N,), sum to one."""
+        w = np.exp(self.log_weights - self.log_weights.max())
+        return w / w.sum()
+
+    def uses(self) -> list[EffectUse]:
+        """The effects in this model."""
+        rig = load_rig(self.rig)
+        return [find_use(key, rig) for key in self.effects]
+
+    def mean(self) -> np.ndarray:
+        """(P,) weighted means, on each parameter's own scale (a geometric mean for log scales)."""
+        units = np.stack([p.to_unit(column) for p, column in zip(self.parameters, self.particles.T, strict=True)], axis=-1)
+        return self.from_unit(self.weights @ units)
+
+    def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """(count, P) draws from the particles."""
+        return self.particles[rng.choice(len(self.particles), size=count, p=self.weights)]
+
+    def to_unit(self, values: np.ndarray) -> np.ndarray:
+        """(..., P) physical -> unit cube, where the prior is uniform."""
+        return np.stack([p.to_unit(values[..., i]) for i, p in enumerate(self.parameters)], axis=-1)
+
+    def from_unit(self, units: np.ndarray) -> np.ndarray:
+        """(..., P) unit cube -> physical."""
+        return np.stack([p.from_unit(units[..., i]) for i, p in enumerate(self.parameters)], axis=-1)
+
+    def with_effect(self, key: str) -> "Model":
+        """An unsaved child with one more effect, whose parameters follow their prior.
+
+        Raises:
+          SimError: unknown effect, or one that the model has or the rig cannot have.
+        """
+        if key in self.effects:
+            raise SimError(f"model {self.version!r} has the effect {key!r} already")
+        use = find_use(key, load_rig(self.rig))
+        rng = np.random.default_rng(len(self.effects))
+        new = np.stack([p.sample(rng, len(self.particles)) for p in use.parameters], axis=-1)
+        return dataclasses.replace(
+            self,
+            version=f"{self.version}+{key}",
+            effects=(*self.effects, use.key),
+            parameters=self.parameters + use.parameters,
+            particles=np.concatenate([self.particles, new], axis=1),
+            parent=self.version,
+            evidence={},
+            created=now(),
+        )
+
+    def with_particles(self, particles: np.ndarray, log_weights: np.ndarray | None = None, **evidence: Any) -> "Model":
+        """An unsaved child with another distribution of the same parameters."""
+        if log_weights is None:
+            log_weights = np.full(len(particles), -np.log(len(particles)))
+        return dataclasses.replace(
+            self, particles=particles, log_weights=log_weights, parent=self.version, evidence=evidence, created=now()
+        )
+
+
+def now() -> str:
+    """The present time, ISO 8601, UTC."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def base_model(rig: Rig | str) -> Model:
+    """Version 0 of a rig: no effects, every parameter as wide as its prior."""
+    rig = load_rig(rig) if isinstance(rig, str) else rig
+    rng = np.random.default_rng(0)
+    particles = np.stack([p.sample(rng, PRIOR_PARTICLES) for p in rig.parameters], axis=-1)
+    return Model(f"{rig.name}-v0", rig.name, (), rig.parameters, particles, np.full(PRIOR_PARTICLES, -np.log(PRIOR_PARTICLES)))
