@@ -5,8 +5,8 @@
     live.command(target, duration_s=0.2)              # refused as the robot would refuse it
     for reading in live.advance(10): ...              # the next ten samples
 
-Time is the simulation's own, in seconds; it goes on over resets. Everything random comes from the seed of the last reset,
-so that the same scenario, seed and commands give the same bits.
+Time is the simulation's own, in seconds since the last reset. Everything random comes from the seed of that reset, so
+that the same scenario and commands give the same bits, whatever went before.
 """
 
 from collections.abc import Sequence
@@ -107,13 +107,7 @@ class LiveSimulation:
         """
         if self.safety.mode is Mode.STOPPED:
             raise CommandRefused("reset: the emergency stop stands; call emergency_stop/release first")
-        model = model or self.model
-        if model is not self.model or len(scenario.blocks) > self._room:
-            self._load(model, scenario)
-        else:
-            self.scenario = scenario
-            self._simulator.reset(parameters=self._parameters(), scenarios=[scenario])
-        self._rng = np.random.default_rng([scenario.seed, NOISE_STREAM])
+        self._load(model or self.model, scenario)
         self.refused, self.reason = 0, ""
         (first,) = self._readings(self._simulator.observe())
         self._hold(scenario)
@@ -166,15 +160,15 @@ class LiveSimulation:
 
     @property
     def _now(self) -> float:
-        return self._elapsed + self._simulator.time
+        return self._simulator.time
 
     def _load(self, model: Model, scenario: Scenario) -> None:
         rig = load_rig(model.rig)
         if not (rig.floating and rig.has_imu and rig.foot_names):
-            raise SimError(f"model {model.version!r} is of the rig {rig.name!r}, which is no walking robot; use a hexapod model")
-        self._elapsed = self._now if hasattr(self, "_simulator") else 0.0
+            raise SimError(
+                f"model {model.version!r} is of the rig {rig.name!r}, which is no walking robot; use a hexapod model"
+            )
         self.model, self.scenario, self._rig = model, scenario, rig
-        self._room = len(scenario.blocks)
         self._simulator = Simulator(model, self._parameters(), [scenario], self._timestep, threads=1)
         self._rng = np.random.default_rng([scenario.seed, NOISE_STREAM])
         self._simulator.set_torque(self.safety.mode is Mode.ACTIVE)
@@ -203,7 +197,7 @@ class LiveSimulation:
 
     def _quiet(self, count: int) -> bool:
         """Whether nothing can go limp within `count` samples, so that they may be simulated in one go."""
-        return self.safety.mode is not Mode.ACTIVE or self.safety.remaining(self._now) > count * self.period
+        return self.safety.patience(self._now) > (count + 1) * self.period
 
     def _readings(self, samples: Samples) -> list[Reading]:
         if self._noise:
@@ -211,7 +205,7 @@ class LiveSimulation:
         assert samples.attitude is not None and samples.angular_velocity is not None
         assert samples.linear_acceleration is not None and samples.contact is not None and samples.position is not None
         orientation = np.roll(samples.attitude, -1, axis=-1)
-        self.safety.measured(self._elapsed + float(samples.time[-1]), samples.joint_position[0, -1].tolist())
+        self.safety.measured(float(samples.time[-1]), samples.joint_position[0, -1].tolist())
         return [
             Reading(
                 samples.joint_position[0, k],
