@@ -132,9 +132,8 @@ class _Supervised:
 
     def start(self, environment: Mapping[str, str]) -> None:
         with self.log.open("a", encoding="utf-8") as log:
-            log.write(
-                f"{LOG_MARK}{time.strftime('%Y-%m-%d %H:%M:%S')} {shlex.join(self.command).replace(chr(10), ' ')}\n"
-            )
+            line = shlex.join(self.command).replace("\n", " ")
+            log.write(f"{LOG_MARK}{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
             log.flush()
             self.process = subprocess.Popen(
                 self.command,

@@ -209,6 +209,10 @@ class Simulator:
         self._qpos = np.array([mj.joint(j).qposadr[0] for j in rig.joint_names])
         self._dofs = self.fields.dofs()
         self._hold = np.zeros((self.count, len(rig.joint_names)))
+        # bound once, before any call: a field bound later would read zero until the call after
+        self._sensordata = self._batch.bind("sensordata")
+        self._geom_xpos = self._batch.bind("geom_xpos")
+        self._actuator_force = self._batch.bind("actuator_force")
         self._torque_on = np.ones(self.count, bool)
 
     def _row(self) -> dict[str, np.ndarray]:
@@ -284,7 +288,7 @@ class Simulator:
         normal = rotate_back(ground * [1, -1, -1, -1], np.broadcast_to([0.0, 0.0, 1.0], (len(ids), 3)))
         feet = [self._mj.geom(f"{foot}_foot").id for foot in self.rig.foot_names]
         radius = self._mj.geom_size[feet[0], 0]
-        depth = np.einsum("bfx,bx->bf", self._batch.bind("geom_xpos")[np.ix_(ids, feet)], normal).min(axis=1)
+        depth = np.einsum("bfx,bx->bf", self._geom_xpos[np.ix_(ids, feet)], normal).min(axis=1)
         qpos[ids, :3] = normal * (radius + CLEARANCE - depth)[:, None]
 
     def _settle(self, ids: np.ndarray) -> None:
@@ -325,7 +329,7 @@ class Simulator:
         self._run(lambda: self._batch.forward())
         bad = ~np.isfinite(self._batch.bind("qpos")).all(axis=1)
         self.diverged |= bad | (self._warnings() > self._warned)
-        return self._samples(self._batch.bind("sensordata")[:, None, :], np.array([self.time]))
+        return self._samples(self._sensordata[:, None, :], np.array([self.time]))
 
     def _warnings(self) -> np.ndarray:
         """(B,) how often MuJoCo warned of each simulation."""
@@ -360,7 +364,7 @@ class Simulator:
             self.time,
             self._batch.bind("qpos")[:, self._qpos],
             self._batch.bind("qvel")[:, self._dofs],
-            self._batch.bind("actuator_force")[:, self._actuators],
+            self._actuator_force[:, self._actuators],
         )
 
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tcbi_contract.names import JOINTS, SLOPE_LIMIT
+from tcbi_contract.names import JOINTS
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.measurement import Block, Scenario
 
 BLOCK_HEIGHT = (0.06, 0.08)  # m (paper, Table 1)
 BLOCK_LENGTH = (0.10, 0.20)  # m (paper, Table 1)
+TILT = math.pi / 9  # rad: within Table 1's +-pi/6, and less than the 27 degrees at which the lowest friction gives way
 INITIAL_JOINT = math.pi / 18  # rad, spread of the initial posture about the neutral stance
 
 
@@ -27,8 +28,9 @@ class Task:
 
 
 def draw_balance(rng: np.random.Generator, seed: int = 0) -> Scenario:
-    """A tilted plane without blocks; the tilt is uniform in Table 1's range, the posture random."""
-    roll, pitch = rng.uniform(-SLOPE_LIMIT, SLOPE_LIMIT, 2)
+    """A tilted plane without blocks; tilt uniform up to `TILT` in any direction, the posture random."""
+    tilt, direction = rng.uniform(0, TILT), rng.uniform(-math.pi, math.pi)
+    roll, pitch = tilt * math.cos(direction), tilt * math.sin(direction)
     return Scenario("balance", 8.0, float(roll), float(pitch), (), _posture(rng), seed=seed)
 
 

@@ -17,7 +17,7 @@ def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
         hinge = spec.joint(name)
         hinge.parent.add_joint(
             name=f"{name}/play", type=mujoco.mjtJoint.mjJNT_HINGE, axis=hinge.axis, pos=hinge.pos, limited=True, range=[-GAP, GAP],
-            damping=[PLAY_DAMPING, 0, 0], armature=1e-5, solref_limit=[0.01, 1.0],
+            damping=[PLAY_DAMPING, 0, 0], armature=1e-5, solref_limit=[0.004, 1.0], solimp_limit=[0.99, 0.999, 0.001, 0.5, 2.0],
         )  # fmt: skip
 
 
