@@ -1,0 +1,79 @@
+"""The commands of a recording, as the servos were given them."""
+
+from typing import Any
+
+import numpy as np
+
+from tcbi_contract.names import JOINT_COMMANDS
+from tcbi_infer.bags.streams import Record, Recording, ordered
+from tcbi_sim.measurement import Commands
+
+Row = tuple[int, np.ndarray, float, bool]  # stamp (ns), targets, ramp (s), torque on
+
+
+def read_commands(
+    recording: Recording, joint_names: tuple[str, ...], begin: int, end: int | None, notes: list[str]
+) -> Commands:
+    """The commands between BEGIN and END; one given at END's own stamp has no effect and is left out.
+
+    A trajectory of several points counts as several commands. A point without positions but with effort is a torque
+    (N m); one with positions and an effort of zero, or a trajectory without points, is a command with the torque off.
+    """
+    rows: list[Row] = []
+    strange = 0
+    for record in recording.records.get(JOINT_COMMANDS, []):
+        found = _rows(record, joint_names, rows[-1][1] if rows else None)
+        if found is None:
+            strange += 1
+        else:
+            rows += found
+    if strange:
+        notes.append(f"{JOINT_COMMANDS}: {strange} messages do not name the rig's joints and are left out")
+    if not rows:
+        notes.append(f"no {JOINT_COMMANDS}: nothing can be simulated again with the same commands")
+        return Commands(np.empty(0), np.empty((0, len(joint_names))))
+    stamp = np.array([row[0] for row in rows], np.int64)
+    order = ordered(JOINT_COMMANDS, stamp, notes)
+    inside = (stamp[order] >= begin) & ((stamp[order] < end) if end is not None else True)
+    return _commands([rows[i] for i in order[inside]], len(joint_names), begin, notes)
+
+
+def _rows(record: Record, joint_names: tuple[str, ...], last: np.ndarray | None) -> list[Row] | None:
+    message: Any = record.message
+    named = tuple(message.joint_names)
+    if not message.points:
+        return None if last is None else [(record.stamp, last, 0.0, False)]
+    if not set(joint_names) <= set(named):
+        return None
+    pick = [named.index(name) for name in joint_names]
+    rows: list[Row] = []
+    before = 0  # ns
+    for point in message.points:
+        reached = point.time_from_start.sec * 1_000_000_000 + point.time_from_start.nanosec
+        values = point.positions if len(point.positions) else point.effort
+        if len(values) != len(named):
+            return None
+        is_off = len(point.positions) > 0 and len(point.effort) == len(named) and not np.any(point.effort)
+        rows.append((record.stamp + before, values[pick], max(reached - before, 0) / 1e9, not is_off))
+        before = reached
+    return rows
+
+
+def _commands(rows: list[Row], joints: int, begin: int, notes: list[str]) -> Commands:
+    if not rows:
+        notes.append(f"{JOINT_COMMANDS}: none between BEGIN and END")
+        return Commands(np.empty(0), np.empty((0, joints)))
+    ramps = np.array([row[2] for row in rows])
+    ramp = float(np.median(ramps))
+    if np.ptp(ramps) > 1e-3:
+        notes.append(
+            f"{JOINT_COMMANDS}: ramps from {ramps.min():.3g} to {ramps.max():.3g} s; all are taken as {ramp:.3g} s, "
+            "which blurs the moments after the others"
+        )
+    on = np.array([row[3] for row in rows])
+    return Commands(
+        time=(np.array([row[0] for row in rows], np.int64) - begin) / 1e9,
+        target=np.array([row[1] for row in rows]),
+        ramp=ramp,
+        torque_on=None if on.all() else on,
+    )

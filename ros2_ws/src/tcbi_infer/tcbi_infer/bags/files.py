@@ -1,0 +1,92 @@
+"""Where the recordings are: a bag's folder, a folder of bags, or a bare .mcap file."""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from tcbi_infer.bags.writer import UNFINISHED
+from tcbi_infer.errors import BagError
+
+ASIDE = ".damaged"  # suffix of an original that was repaired and kept
+
+
+def mcap_files(bag: Path) -> list[Path]:
+    """The MCAP files of one bag, in the order in which they were recorded.
+
+    Raises:
+      BagError: there is no such path, or nothing in it is MCAP.
+    """
+    if bag.is_file():
+        if bag.suffix == ".mcap":
+            return [bag]
+        if bag.name == "metadata.yaml":
+            return mcap_files(bag.parent)
+        raise BagError(
+            f"{bag}: got a {bag.suffix or 'nameless'} file, allowed are a bag's folder and an .mcap file; "
+            f"{_convert(bag)}"
+        )
+    if not bag.is_dir():
+        raise BagError(f"{bag}: there is no such bag; give a bag's folder or an .mcap file")
+    files = sorted(bag.glob("*.mcap"), key=_natural)
+    if not files:
+        raise BagError(f"{bag}: {_what_instead(bag)}")
+    return files
+
+
+def find_bags(paths: Iterable[Path]) -> list[Path]:
+    """The bags among `paths`; a folder that is no bag itself stands for the bags in it, in order of name.
+
+    Raises:
+      BagError: a path holds no bag.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir() and not is_bag(path):
+            inside = [p for p in sorted(path.iterdir(), key=_natural) if is_bag(p) and not set_aside(p)]
+            if not inside:
+                raise BagError(f"{path}: {_what_instead(path)}")
+            found += inside
+        elif path.name == "metadata.yaml" and path.is_file():
+            found.append(path.parent)
+        else:
+            mcap_files(path)
+            found.append(path)
+    return list(dict.fromkeys(found))
+
+
+def is_bag(path: Path) -> bool:
+    """Whether this is a bag's folder or a bare MCAP file."""
+    if path.is_dir():
+        return any(path.glob("*.mcap"))
+    return path.suffix == ".mcap" and path.is_file()
+
+
+def set_aside(path: Path) -> bool:
+    """Whether this is an original that a repair kept."""
+    return ASIDE in path.suffixes
+
+
+def bag_name(bag: Path) -> str:
+    """A bag's name without what marks it as unfinished or as a file."""
+    name = bag.name
+    for suffix in (".mcap", UNFINISHED):
+        name = name.removesuffix(suffix)
+    return name
+
+
+def _natural(path: Path) -> list:
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+
+
+def _what_instead(folder: Path) -> str:
+    database = next(folder.rglob("*.db3"), None)
+    if database:
+        return f"holds no .mcap file; {_convert(database.parent)}"
+    packed = next(folder.rglob("*.mcap.zstd"), None)
+    if packed:
+        return f"{packed.name} is compressed as a whole; unpack it with: unzstd {packed.name} -o {packed.stem}"
+    return "holds no bag (no .mcap file); give a bag's folder or an .mcap file"
+
+
+def _convert(path: Path) -> str:
+    return f"convert an SQLite bag with: rosbags-convert --src {path} --dst {bag_name(path)}_mcap --dst-storage mcap"

@@ -1,0 +1,280 @@
+"""Read bags as measurements.
+
+    for measurement in read_measurements(["rollouts/", "lab/walk_3.mcap"]):
+        print(measurement.rollout_id, *measurement.notes, sep="\\n  ")
+
+Any bag of the contract will do, also one that was cut off (it is read as far as it goes), a bare file, one with a
+namespace, another rate, another order of joints, or without tracker, contacts or IMU. What is missing or was repaired
+is said in `Measurement.notes`, a line each. The joint states' stamps are the time axis; a signal of another topic is
+taken at the same stamp unchanged, else between its neighbours: linear, contacts the last one seen.
+"""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tcbi_contract.names import FOOT_CONTACTS, IMU, JOINT_STATES, JOINTS, LEGS, TRACKER_POSE
+from tcbi_infer.bags.commands import read_commands
+from tcbi_infer.bags.files import find_bags
+from tcbi_infer.bags.rollouts import Span, lacking, spans
+from tcbi_infer.bags.streams import Recording, Stream, load, stream
+from tcbi_infer.errors import BagError
+from tcbi_sim.measurement import Measurement, continuous
+
+HEXAPOD = "hexapod"
+GAP_S = 0.1  # the least that counts as a gap
+GAP_PERIODS = 5  # a gap is also longer than so many sample periods
+LEAST_COVER = 0.5  # of the rollout; a signal that covers less is left out
+
+
+def read_measurement(bag: Path | str, rig: str | None = None, namespace: str | None = None) -> Measurement:
+    """The one rollout of a bag.
+
+    Raises:
+      BagError: it cannot be read, is of another rig than `rig`, or holds several rollouts.
+    """
+    found = read_bag(Path(bag), rig, namespace)
+    if len(found) > 1:
+        ids = ", ".join(m.rollout_id for m in found)
+        raise BagError(
+            f"{bag}: holds {len(found)} rollouts ({ids}) where one is wanted; read them with read_measurements"
+        )
+    return found[0]
+
+
+def read_measurements(
+    paths: Iterable[Path | str], rig: str | None = None, namespace: str | None = None
+) -> list[Measurement]:
+    """All rollouts of bags and of folders of bags, in the order given.
+
+    Args:
+      rig: the rig that the caller can use; None for any.
+
+    Raises:
+      BagError: one of them cannot be read; two rollouts bear one id.
+    """
+    found: list[Measurement] = []
+    seen: dict[str, Path] = {}
+    for bag in find_bags(Path(p) for p in paths):
+        for measurement in read_bag(bag, rig, namespace):
+            if measurement.rollout_id in seen:
+                raise BagError(
+                    f"{bag}: its rollout {measurement.rollout_id!r} is also in {seen[measurement.rollout_id]}; "
+                    "give each rollout once, since it would count twice"
+                )
+            seen[measurement.rollout_id] = bag
+            found.append(measurement)
+    return found
+
+
+def read_bag(bag: Path, rig: str | None = None, namespace: str | None = None) -> list[Measurement]:
+    """All rollouts of one bag."""
+    recording = load(bag, namespace)
+    return [_measurement(recording, span, rig) for span in spans(recording)]
+
+
+def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Measurement:
+    notes = [*recording.notes, *span.notes]
+    rig, joint_names = _rig(recording, span, wanted_rig)
+    joints = _within(_joints(recording, joint_names, notes), span)
+    if joints is None or len(joints) < 2:
+        raise BagError(f"{recording.path}: rollout {span.rollout_id!r} holds no joint_states after its BEGIN event")
+    _say_gaps(JOINT_STATES, joints, span, notes)
+    imu = {name: _signal(recording, IMU, row, joints, span, notes) for name, row in IMU_ROWS.items()}
+    foot_names, contact_row = _feet(recording, rig)
+    contact = _signal(recording, FOOT_CONTACTS, contact_row, joints, span, notes)
+    position = _signal(recording, TRACKER_POSE, _position, joints, span, notes)
+    _say_missing(recording, rig, notes)
+    attitude = imu["attitude"]
+    return Measurement(
+        rollout_id=span.rollout_id,
+        rig=rig,
+        scenario=span.scenario(int(joints.stamp[-1])),
+        policy_id=span.policy_id,
+        source=span.source,
+        commands=read_commands(recording, joint_names, span.begin, span.end, notes),
+        joint_names=joint_names,
+        foot_names=foot_names if contact is not None else (LEGS if rig == HEXAPOD else ()),
+        time=(joints.stamp - span.begin) / 1e9,
+        joint_position=joints.values,
+        attitude=attitude,
+        angular_velocity=imu["angular_velocity"],
+        linear_acceleration=imu["linear_acceleration"],
+        contact=None if contact is None else contact > 0.5,
+        position=position,
+        distance=span.distance,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _rig(recording: Recording, span: Span, wanted: str | None) -> tuple[str, tuple[str, ...]]:
+    """The rig's name and its joints in order."""
+    records = recording.records.get(JOINT_STATES)
+    if not records:
+        raise BagError(f"{recording.path}: {lacking(recording)}")
+    seen = tuple(records[0].message.name)
+    rig = span.note.rig or (HEXAPOD if set(JOINTS) <= set(seen) else None)
+    if rig is None and wanted is not None and wanted != HEXAPOD:
+        rig = wanted
+    if rig is None:
+        missing = [name for name in JOINTS if name not in seen]
+        shown = ", ".join(missing[:3]) + (" …" if len(missing) > 3 else "")
+        raise BagError(
+            f"{recording.path}: it is a recording of another robot: its joints are "
+            f"{', '.join(seen) or 'without names'}, the hexapod's {shown} are missing"
+        )
+    if wanted is not None and rig != wanted:
+        raise BagError(
+            f"{recording.path}: it is a recording of the rig {rig!r}, wanted is {wanted!r}; choose a model of that rig"
+        )
+    return rig, JOINTS if rig == HEXAPOD else seen
+
+
+def _joints(recording: Recording, joint_names: tuple[str, ...], notes: list[str]) -> Stream | None:
+    picks: dict[tuple[str, ...], list[int] | None] = {}
+    short = 0
+
+    def row(message: Any) -> np.ndarray | None:
+        nonlocal short
+        names = tuple(message.name)
+        if names not in picks:
+            picks[names] = [names.index(n) for n in joint_names] if set(joint_names) <= set(names) else None
+        pick = picks[names]
+        if pick is None or len(message.position) != len(names):
+            short += 1
+            return None
+        return message.position[pick]
+
+    found = stream(JOINT_STATES, recording.records[JOINT_STATES], row, notes)
+    for names, pick in picks.items():
+        if pick is not None and names != joint_names:
+            extra = [n for n in names if n not in joint_names]
+            also = f"; {', '.join(extra)} left out" if extra else ""
+            notes.append(f"{JOINT_STATES}: joints come in another order and are put in the rig's by name{also}")
+            break
+    if short:
+        notes.append(f"{JOINT_STATES}: {short} messages lack a joint of the rig or a position and are left out")
+    if found is not None and not np.isfinite(found.values).all():
+        bad = ~np.isfinite(found.values).all(axis=1)
+        notes.append(f"{JOINT_STATES}: {int(bad.sum())} samples hold a position that is no number and are left out")
+        found = Stream(found.stamp[~bad], found.values[~bad])
+    return found
+
+
+def _within(found: Stream | None, span: Span) -> Stream | None:
+    if found is None:
+        return None
+    last = span.end if span.end is not None else int(found.stamp[-1])
+    return found.between(span.begin, last)
+
+
+def _attitude(message: Any) -> tuple[float, ...] | None:
+    o = message.orientation
+    valid = message.orientation_covariance[0] != -1 and (o.w, o.x, o.y, o.z) != (0.0, 0.0, 0.0, 0.0)
+    return (o.w, o.x, o.y, o.z) if valid else None
+
+
+def _angular_velocity(message: Any) -> tuple[float, ...] | None:
+    v = message.angular_velocity
+    return (v.x, v.y, v.z) if message.angular_velocity_covariance[0] != -1 else None
+
+
+def _linear_acceleration(message: Any) -> tuple[float, ...] | None:
+    a = message.linear_acceleration
+    return (a.x, a.y, a.z) if message.linear_acceleration_covariance[0] != -1 else None
+
+
+IMU_ROWS = {
+    "attitude": _attitude,
+    "angular_velocity": _angular_velocity,
+    "linear_acceleration": _linear_acceleration,
+}
+
+
+def _position(message: Any) -> tuple[float, ...]:
+    p = message.pose.position
+    return (p.x, p.y, p.z)
+
+
+def _feet(recording: Recording, rig: str) -> tuple[tuple[str, ...], Callable[[Any], Any | None]]:
+    """The feet's names in order, and how a message gives their contacts (1 or 0)."""
+    records = recording.records.get(FOOT_CONTACTS, [])
+    foot_names = LEGS if rig == HEXAPOD else (tuple(records[0].message.name) if records else ())
+
+    def row(message: Any) -> list[float] | None:
+        by_name = dict(zip(message.name, message.contact, strict=False))
+        return [float(by_name[name]) for name in foot_names] if set(foot_names) <= set(by_name) else None
+
+    return foot_names, row
+
+
+def _signal(
+    recording: Recording, topic: str, row: Callable[[Any], Any | None], joints: Stream, span: Span, notes: list[str]
+) -> np.ndarray | None:
+    """A topic's values at the joints' stamps, or None where there are too few."""
+    found = stream(topic, recording.records.get(topic, []), row, notes)
+    if found is None:
+        return None
+    covered = _covered(found, joints)
+    if covered < LEAST_COVER:
+        notes.append(f"{topic}: covers only {covered:.0%} of the rollout and is left out")
+        return None
+    inside = _within(found, span)
+    if inside is not None and len(inside) > 1:
+        _say_gaps(topic, inside, span, notes)
+    if not np.isfinite(found.values).all():
+        notes.append(f"{topic}: holds values that are no numbers; the signal is left out")
+        return None
+    return _at(found, joints.stamp, hold=topic == FOOT_CONTACTS, unit=row is _attitude)
+
+
+def _covered(found: Stream, joints: Stream) -> float:
+    """The share of the joints' samples that lie within the signal, or less than a tenth of a second beside it."""
+    margin = round(GAP_S * 1e9)
+    inside = (joints.stamp >= found.stamp[0] - margin) & (joints.stamp <= found.stamp[-1] + margin)
+    return float(np.mean(inside))
+
+
+def _at(found: Stream, stamp: np.ndarray, hold: bool, unit: bool) -> np.ndarray:
+    """Rows at `stamp` (ns): the very values where the stamps agree."""
+    last = np.clip(np.searchsorted(found.stamp, stamp, side="right") - 1, 0, len(found) - 1)
+    values = found.values[last]
+    between = found.stamp[last] != stamp
+    if hold or not between.any():
+        return values
+    source = continuous(found.values) if unit else found.values
+    origin = found.stamp[0]
+    t, x = (stamp[between] - origin) * 1e-9, (found.stamp - origin) * 1e-9
+    filled = np.stack([np.interp(t, x, column) for column in source.T], axis=-1)
+    values = values.copy()
+    values[between] = filled / np.linalg.norm(filled, axis=-1, keepdims=True) if unit else filled
+    return values
+
+
+def _say_gaps(name: str, found: Stream, span: Span, notes: list[str]) -> None:
+    steps = np.diff(found.stamp) * 1e-9
+    limit = max(GAP_S, GAP_PERIODS * float(np.median(steps)))
+    gaps = np.flatnonzero(steps > limit)
+    if gaps.size:
+        worst = gaps[np.argmax(steps[gaps])]
+        at = (found.stamp[worst] - span.begin) * 1e-9
+        notes.append(
+            f"{name}: {gaps.size} gap{'s' if gaps.size > 1 else ''}, {steps[gaps].sum():.2f} s in all, the longest "
+            f"{steps[worst]:.2f} s at {at:.2f} s; there is nothing to compare inside"
+        )
+    late = (found.stamp[0] - span.begin) * 1e-9
+    if late > limit:
+        notes.append(f"{name}: begins {late:.2f} s after the rollout does; how it started is lost")
+
+
+def _say_missing(recording: Recording, rig: str, notes: list[str]) -> None:
+    if rig != HEXAPOD:
+        return
+    costs = {
+        IMU: "attitude and body rates cannot be compared",
+        FOOT_CONTACTS: "contacts cannot be compared",
+        TRACKER_POSE: "the path cannot be compared; a distance comes from the END event alone",
+    }
+    notes += [f"no {topic}: {cost}" for topic, cost in costs.items() if not recording.records.get(topic)]

@@ -1,0 +1,210 @@
+"""The contract's topics of one recording, decoded and put in order.
+
+Each topic becomes a `Stream`: stamps (ns) that strictly increase, and one row of values a stamp. What had to be dropped
+or sorted to get there is said in notes, a line each.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tcbi_contract import names
+from tcbi_infer.bags import schemas
+from tcbi_infer.bags.files import mcap_files
+from tcbi_infer.bags.scan import Channel, Message, Scan
+from tcbi_infer.errors import BagError
+
+JUMP_S = 0.5  # s back in time: less is messages overtaking each other, more is a clock that was set
+
+
+@dataclass(frozen=True)
+class Record:
+    """One decoded message."""
+
+    stamp: int  # ns, of its header; its log time where the header is empty
+    log_time: int  # ns
+    message: Any
+
+
+@dataclass
+class Recording:
+    """The decoded messages of one bag, by relative topic."""
+
+    path: Path
+    namespace: str = ""
+    records: dict[str, list[Record]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    count: int = 0  # messages of any topic
+    topics: tuple[str, ...] = ()  # every topic in the bag, full names
+
+
+def load(bag: Path, namespace: str | None = None) -> Recording:
+    """Decode the contract's topics of a bag, cut off or not.
+
+    Args:
+      namespace: which robot, where a bag holds several; None if there is one.
+
+    Raises:
+      BagError: no bag, no MCAP, nothing in it, several robots, or a type that cannot be decoded.
+    """
+    kept: dict[str, list[Message]] = {}
+    types: dict[str, str] = {}
+    recording = Recording(bag)
+    for file in mcap_files(bag):
+        scan = Scan(file)
+        for message in scan.messages():
+            recording.count += 1
+            topic = message.channel.topic
+            types[topic] = message.channel.message_type
+            if relative(topic, message.channel.message_type) is not None:
+                kept.setdefault(topic, []).append(message)
+        recording.notes += _cut(file, scan)
+    recording.topics = tuple(sorted(types))
+    if not recording.count:
+        raise BagError(f"{bag}: the bag is empty, not one message can be read" + _because(recording.notes))
+    recording.namespace = _namespace(bag, kept, namespace)
+    for topic, messages in kept.items():
+        name = relative(topic, types[topic])
+        if name is not None and name != names.DIAGNOSTICS and prefix(topic, name) == recording.namespace:
+            recording.records[name] = _records(name, messages, recording.notes)
+    return recording
+
+
+def relative(topic: str, message_type: str) -> str | None:
+    """The contract's name of a topic under any namespace, if its type is the contract's too."""
+    for name, expected in schemas.MESSAGES.items():
+        if message_type == expected and ("/" + topic.strip("/")).endswith("/" + name):
+            return name
+    return None
+
+
+def prefix(topic: str, name: str) -> str:
+    """The namespace of a topic, without slashes at its ends."""
+    return topic.strip("/").removesuffix(name).strip("/")
+
+
+def _namespace(bag: Path, kept: dict[str, list[Message]], wanted: str | None) -> str:
+    name = names.JOINT_STATES
+    found = sorted(
+        {prefix(topic, name) for topic, m in kept.items() if relative(topic, m[0].channel.message_type) == name}
+    )
+    if wanted is not None:
+        if wanted.strip("/") not in found:
+            raise BagError(
+                f"{bag}: no joint_states under the namespace {wanted!r}; it has {', '.join(map(repr, found)) or 'none'}"
+            )
+        return wanted.strip("/")
+    if len(found) > 1:
+        raise BagError(
+            f"{bag}: joint_states of {len(found)} robots ({', '.join(map(repr, found))}); choose one namespace"
+        )
+    return found[0] if found else ""
+
+
+def _cut(file: Path, scan: Scan) -> list[str]:
+    if not scan.damage:
+        return []
+    more = f" and {len(scan.damage) - 1} more places" if len(scan.damage) > 1 else ""
+    return [
+        f"{file.name} is damaged: {scan.damage[0]}{more}; {scan.lost_bytes} bytes are unreadable, the rest is used "
+        f"(./tcbi recover writes a repaired copy)"
+    ]
+
+
+def _because(notes: list[str]) -> str:
+    return f" ({notes[0]})" if notes else ""
+
+
+def _records(name: str, messages: list[Message], notes: list[str]) -> list[Record]:
+    records, unstamped, broken = [], 0, 0
+    for message in messages:
+        try:
+            decoded = _decoded(message.channel, message.data)
+        except BagError:
+            raise
+        except Exception:  # noqa: BLE001 - a message's bytes may fail in any way; it is counted and said
+            broken += 1
+            continue
+        stamp = schemas.stamp_of(message.data) or 0
+        if stamp <= 0:
+            unstamped += 1
+            stamp = message.log_time
+        records.append(Record(stamp, message.log_time, decoded))
+    if broken:
+        notes.append(f"{name}: {broken} of {len(messages)} messages do not match their own definition and are left out")
+    if unstamped:
+        notes.append(
+            f"{name}: {unstamped} of {len(messages)} messages bear no stamp; the time they were recorded at is used"
+        )
+    return records
+
+
+def _decoded(channel: Channel, data: bytes) -> Any:
+    if channel.message_encoding != "cdr":
+        raise BagError(f"{channel.topic}: its messages are {channel.message_encoding!r}, allowed is 'cdr' of ROS 2")
+    return schemas.decode(data, channel.message_type, channel.schema_encoding, channel.definition)
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Rows of one topic."""
+
+    stamp: np.ndarray  # (N,) int64 ns, strictly increasing
+    values: np.ndarray  # (N, ...)
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def between(self, first: int, last: int) -> "Stream":
+        """The rows with first <= stamp <= last (ns)."""
+        inside = (self.stamp >= first) & (self.stamp <= last)
+        return Stream(self.stamp[inside], self.values[inside])
+
+
+def stream(
+    name: str, records: Iterable[Record], row: Callable[[Any], Any | None], notes: list[str], dtype: type = float
+) -> Stream | None:
+    """One topic as rows in the order of time; None if nothing is left.
+
+    Args:
+      row: a message's values, or None where it holds none.
+    """
+    stamps, rows = [], []
+    for record in records:
+        values = row(record.message)
+        if values is not None:
+            stamps.append(record.stamp)
+            rows.append(values)
+    if not rows:
+        return None
+    order = ordered(name, np.array(stamps, np.int64), notes)
+    return Stream(np.array(stamps, np.int64)[order], np.array(rows, dtype)[order])
+
+
+def ordered(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Indices that make stamps (ns) increase strictly, what they leave out or move being said in `notes`.
+
+    Where a clock was set back, the longest stretch before or after is kept. Messages that overtook each other are
+    sorted. Of samples with one stamp the first is kept.
+    """
+    order = np.arange(len(stamp))
+    back = np.flatnonzero(np.diff(stamp) < -JUMP_S * 1e9)
+    if back.size:
+        pieces = np.split(order, back + 1)
+        order = max(pieces, key=len)
+        worst = -np.diff(stamp).min() * 1e-9
+        notes.append(
+            f"{name}: time goes back {back.size} times, by up to {worst:.3g} s; only the longest stretch is used, "
+            f"{len(order)} of {len(stamp)} samples"
+        )
+    moved = int(np.sum(np.diff(stamp[order]) < 0))
+    order = order[np.argsort(stamp[order], kind="stable")]
+    fresh = np.concatenate([[True], np.diff(stamp[order]) > 0])
+    if moved:
+        notes.append(f"{name}: {moved} samples arrived out of order and are sorted by their stamps")
+    if not fresh.all():
+        notes.append(f"{name}: {int(np.sum(~fresh))} samples repeat the stamp of another and are left out")
+    return order[fresh]

@@ -1,0 +1,271 @@
+"""Bags that another program wrote, or that went wrong: used as far as they go, with one clear line each."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_cases import bench, rollout
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from tcbi_contract.names import FOOT_CONTACTS, IMU, JOINT_COMMANDS, JOINT_STATES, JOINTS, ROLLOUT_EVENT, TRACKER_POSE
+from tcbi_infer.bags import encoding, schemas
+from tcbi_infer.bags.encoding import messages
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_infer.bags.reader import read_bag, read_measurement
+from tcbi_infer.bags.writer import BagWriter
+from tcbi_infer.errors import BagError
+
+START = 5_000_000_000
+Row = tuple[str, int, bytes]
+
+
+def written(folder: Path, rows: list[Row], name: str = "lab", root: str = "/") -> Path:
+    with BagWriter(folder, name) as bag:
+        for topic, time, data in rows:
+            bag.write(root + topic, time, data)
+    return bag.path
+
+
+def rows(case=None, keep: Callable[[Row], bool] = lambda row: True) -> list[Row]:
+    return [row for row in messages(case or rollout(), START) if keep(row)]
+
+
+def without(*topics: str) -> Callable[[Row], bool]:
+    return lambda row: row[0] not in topics
+
+
+def joint_rows(stamps: list[float], joint_names=JOINTS, value=lambda i: float(i)) -> list[Row]:
+    found = []
+    for i, t in enumerate(stamps):
+        stamp = START + round(t * 1e9)
+        message = encoding.joint_state(stamp, joint_names, np.full(len(joint_names), value(i)))
+        found.append((JOINT_STATES, stamp, schemas.encode(message, schemas.MESSAGES[JOINT_STATES])))
+    return found
+
+
+def only_note(measurement, words: str) -> str:
+    found = [note for note in measurement.notes if words in note]
+    assert len(found) == 1, measurement.notes
+    assert "\n" not in found[0]
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    ("topic", "field", "cost"),
+    [
+        (IMU, "attitude", "attitude and body rates cannot be compared"),
+        (FOOT_CONTACTS, "contact", "contacts cannot be compared"),
+        (TRACKER_POSE, "position", "path cannot be compared"),
+    ],
+)
+def test_a_missing_topic_is_absent_and_its_cost_is_said(tmp_path, topic, field, cost):
+    back = read_measurement(written(tmp_path, rows(keep=without(topic))))
+    assert getattr(back, field) is None
+    only_note(back, cost)
+    assert np.array_equal(back.joint_position, rollout().joint_position)
+
+
+def test_without_commands_the_rest_is_still_there(tmp_path):
+    back = read_measurement(written(tmp_path, rows(keep=without(JOINT_COMMANDS))))
+    assert back.commands.target.shape == (0, 18)
+    only_note(back, "no joint_commands")
+
+
+def test_without_events_time_starts_at_the_first_sample(tmp_path):
+    back = read_measurement(written(tmp_path, rows(keep=without(ROLLOUT_EVENT))))
+    assert back.time[0] == 0 and back.rollout_id == "lab" and back.scenario.task == "unknown"
+    assert back.scenario.duration == pytest.approx(2.0)
+    only_note(back, "no rollout/event")
+
+
+@pytest.mark.parametrize("rate", [10.0, 187.0, 500.0])
+def test_any_rate_of_joint_states_is_its_own_time_axis(tmp_path, rate):
+    case = rollout(samples=round(2 * rate) + 1, rate=rate)
+    back = read_measurement(written(tmp_path, rows(case)))
+    assert len(back.time) == len(case.time)
+    np.testing.assert_allclose(back.time, case.time, atol=1e-9)
+    assert back.notes == ()
+
+
+def test_signals_of_other_rates_are_put_on_the_joints_time(tmp_path):
+    fast = rollout(samples=401, rate=200.0)
+    times = {t for _, t, _ in rows(fast, lambda row: row[0] == IMU)}
+    every_other = set(sorted(times)[::2])
+    back = read_measurement(written(tmp_path, rows(fast, lambda row: row[0] != IMU or row[1] in every_other)))
+    assert np.array_equal(back.angular_velocity[::2], fast.angular_velocity[::2])
+    np.testing.assert_allclose(
+        back.angular_velocity[1:-1:2], (fast.angular_velocity[0:-2:2] + fast.angular_velocity[2::2]) / 2, atol=1e-9
+    )
+    np.testing.assert_allclose(np.linalg.norm(back.attitude, axis=1), 1.0)
+
+
+def test_joints_in_another_order_are_put_in_the_rigs_by_name(tmp_path):
+    case = rollout()
+    order = np.random.default_rng(1).permutation(18)
+    changed = []
+    for topic, time, data in rows(case):
+        if topic == JOINT_STATES:
+            message = schemas.typestore().deserialize_cdr(data, schemas.MESSAGES[topic])
+            shuffled = encoding.joint_state(
+                time, [JOINTS[i] for i in order] + ["gripper"], [*message.position[order], 9.0]
+            )
+            data = schemas.encode(shuffled, schemas.MESSAGES[topic])
+        changed.append((topic, time, data))
+    back = read_measurement(written(tmp_path, changed))
+    assert back.joint_names == JOINTS and np.array_equal(back.joint_position, case.joint_position)
+    assert "gripper left out" in only_note(back, "another order")
+
+
+def test_lost_messages_leave_a_gap_that_is_named(tmp_path):
+    case = rollout(samples=201)
+    gap = (START + 1_000_000_000, START + 1_600_000_000)
+    back = read_measurement(written(tmp_path, rows(case, lambda row: not gap[0] < row[1] < gap[1])))
+    note = only_note(back, "joint_states: 1 gap")
+    assert "0.60 s at 1.00 s" in note
+    assert len(back.time) == 201 - 29
+
+
+def test_a_few_lost_messages_are_no_gap(tmp_path):
+    case = rollout(samples=201)
+    lost = {START + round(k * 0.02 * 1e9) for k in (20, 80, 81, 150)}
+    back = read_measurement(written(tmp_path, rows(case, lambda row: row[0] != JOINT_STATES or row[1] not in lost)))
+    assert len(back.time) == 197 and back.notes == ()
+
+
+def test_messages_that_overtook_each_other_are_sorted(tmp_path):
+    stamps = [k * 0.02 for k in range(100)]
+    stamps[40], stamps[41] = stamps[41], stamps[40]
+    back = read_measurement(written(tmp_path, joint_rows(stamps)))
+    assert np.all(np.diff(back.time) > 0) and len(back.time) == 100
+    assert back.joint_position[40, 0] == 41.0
+    only_note(back, "1 samples arrived out of order")
+
+
+def test_where_the_clock_was_set_back_the_longest_stretch_is_used(tmp_path):
+    stamps = [k * 0.02 for k in range(150)] + [1.0 + k * 0.02 for k in range(60)]
+    back = read_measurement(written(tmp_path, joint_rows(stamps)))
+    assert len(back.time) == 150 and np.all(np.diff(back.time) > 0)
+    assert "150 of 210 samples" in only_note(back, "time goes back 1 times, by up to 1.98 s")
+
+
+def test_repeated_stamps_count_once(tmp_path):
+    stamps = [(k // 2) * 0.02 for k in range(100)]
+    back = read_measurement(written(tmp_path, joint_rows(stamps)))
+    assert len(back.time) == 50 and back.joint_position[3, 0] == 6.0
+    only_note(back, "50 samples repeat the stamp")
+
+
+def test_without_stamps_the_recording_time_is_used(tmp_path):
+    found = []
+    for k in range(50):
+        message = encoding.joint_state(0, JOINTS, np.full(18, float(k)))
+        found.append((JOINT_STATES, START + k * 20_000_000, schemas.encode(message, schemas.MESSAGES[JOINT_STATES])))
+    back = read_measurement(written(tmp_path, found))
+    np.testing.assert_allclose(back.time, np.arange(50) * 0.02)
+    only_note(back, "50 of 50 messages bear no stamp")
+
+
+def test_another_robot_is_refused_by_its_joints(tmp_path):
+    bag = written(tmp_path, joint_rows([0.0, 0.1, 0.2], ("shoulder", "elbow")))
+    with pytest.raises(BagError, match="another robot: its joints are shoulder, elbow"):
+        read_measurement(bag)
+    assert read_measurement(bag, rig="arm").joint_names == ("shoulder", "elbow")
+
+
+def test_a_rollout_of_another_rig_is_refused_by_name(tmp_path):
+    bag = write_measurement(tmp_path, bench())
+    assert read_measurement(bag, rig="servo_bench").scenario.constant("kp") == 100.0
+    with pytest.raises(BagError, match="of the rig 'servo_bench', wanted is 'hexapod'"):
+        read_measurement(bag, rig="hexapod")
+
+
+def test_an_empty_bag_says_so(tmp_path):
+    with pytest.raises(BagError, match="the bag is empty"):
+        read_measurement(written(tmp_path, []))
+
+
+def test_an_empty_file_says_so(tmp_path):
+    path = tmp_path / "x.mcap"
+    path.touch()
+    with pytest.raises(BagError, match=r"the bag is empty.*x\.mcap is damaged"):
+        read_measurement(path)
+
+
+def test_a_bag_without_joint_states_says_what_it_has(tmp_path):
+    bag = written(tmp_path, rows(keep=lambda row: row[0] == IMU))
+    with pytest.raises(BagError, match=r"no joint_states .* it has /imu/data"):
+        read_measurement(bag)
+
+
+@pytest.mark.parametrize("name", ["nowhere", "notes.txt", "empty"])
+def test_what_is_no_bag_is_said_in_one_line(tmp_path, name):
+    (tmp_path / "notes.txt").write_text("x")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BagError) as error:
+        read_measurement(tmp_path / name)
+    assert name in str(error.value) and "\n" not in str(error.value)
+
+
+def test_an_sqlite_bag_comes_with_the_command_that_converts_it(tmp_path):
+    with Writer(tmp_path / "old", version=9, storage_plugin=StoragePlugin.SQLITE3):
+        pass
+    with pytest.raises(BagError, match=r"rosbags-convert --src .*old .*--dst-storage mcap"):
+        read_measurement(tmp_path / "old")
+
+
+def test_two_robots_in_one_bag_need_a_choice(tmp_path):
+    with BagWriter(tmp_path, "two") as bag:
+        for robot in ("a", "b"):
+            for topic, time, data in rows():
+                bag.write(f"/{robot}/{topic}", time, data)
+    with pytest.raises(BagError, match="2 robots"):
+        read_measurement(bag.path)
+    assert len(read_bag(bag.path, namespace="/b")) == 1
+    with pytest.raises(BagError, match="no joint_states under the namespace 'c'"):
+        read_bag(bag.path, namespace="c")
+
+
+def test_a_bag_of_a_whole_session_gives_each_rollout(tmp_path):
+    first, second = rollout("one"), rollout("two", seed=1)
+    with BagWriter(tmp_path, "session") as bag:
+        for topic, time, data in messages(first, START):
+            bag.write("/" + topic, time, data)
+        for topic, time, data in messages(second, START + 10_000_000_000):
+            bag.write("/" + topic, time, data)
+    found = read_bag(bag.path)
+    assert [m.rollout_id for m in found] == ["one", "two"]
+    assert np.array_equal(found[1].joint_position, second.joint_position)
+    with pytest.raises(BagError, match="holds 2 rollouts"):
+        read_measurement(bag.path)
+
+
+def test_a_bag_of_the_rosbags_library_reads_alike(tmp_path):
+    case = rollout()
+    store = schemas.typestore()
+    with Writer(tmp_path / "other", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {}
+        for topic, time, data in rows(case):
+            if topic not in connections:
+                connections[topic] = writer.add_connection("/ns/" + topic, schemas.MESSAGES[topic], typestore=store)
+            writer.write(connections[topic], time, data)
+    back = read_measurement(tmp_path / "other")
+    assert back.rollout_id == "walk_1" and np.array_equal(back.joint_position, case.joint_position)
+    assert np.array_equal(back.contact, case.contact)
+
+
+def test_a_note_that_is_plain_text_is_kept_out_of_the_numbers(tmp_path):
+    changed = []
+    for topic, time, data in rows():
+        if topic == ROLLOUT_EVENT:
+            message = store_message(data)
+            message.note = "battery changed before this one"
+            data = schemas.encode(message, schemas.MESSAGES[topic])
+        changed.append((topic, time, data))
+    back = read_measurement(written(tmp_path, changed))
+    assert back.rig == "hexapod" and back.scenario.duration == pytest.approx(2.0)
+    assert back.scenario.slope_roll == rollout().scenario.slope_roll
+
+
+def store_message(data: bytes):
+    return schemas.typestore().deserialize_cdr(data, schemas.MESSAGES[ROLLOUT_EVENT])

@@ -1,0 +1,169 @@
+"""A recording that was cut anywhere gives back every complete chunk."""
+
+import numpy as np
+import pytest
+from bag_cases import differences, rollout
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import Reader
+
+from tcbi_infer.bags import schemas
+from tcbi_infer.bags.files import find_bags
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_infer.bags.reader import read_measurement
+from tcbi_infer.bags.recovery import recover
+from tcbi_infer.bags.scan import MAGIC, Scan
+from tcbi_infer.errors import BagError
+
+
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory) -> bytes:
+    bag = write_measurement(tmp_path_factory.mktemp("intact"), rollout(samples=400))
+    return (bag / "walk_1_0.mcap").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def chunk_ends(intact, tmp_path_factory) -> list[tuple[int, int]]:
+    """(byte behind a chunk, messages up to it), by another reader of the format."""
+    path = tmp_path_factory.mktemp("ends") / "x.mcap"
+    path.write_bytes(intact)
+    ends, at, count = [(0, 0)], len(MAGIC), 0
+    with path.open("rb") as file:
+        for record in StreamReader(file, emit_chunks=True).records:
+            length = int.from_bytes(intact[at + 1 : at + 9], "little")
+            at += 9 + length
+            if type(record).__name__ == "Chunk":
+                count += sum(type(r).__name__ == "Message" for r in breakup_chunk(record))
+                ends.append((at, count))
+    assert len(ends) > 8
+    return ends
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0, 1))
+def test_a_cut_at_any_byte_keeps_every_message_of_every_complete_chunk(tmp_path_factory, intact, chunk_ends, share):
+    cut = round(share * (len(intact) - 1))
+    path = tmp_path_factory.mktemp("cut") / "cut.mcap"
+    path.write_bytes(intact[:cut])
+    complete = max(count for end, count in chunk_ends if end <= cut)
+    scan = Scan(path)
+    assert sum(1 for _ in scan.messages()) >= complete
+    assert scan.damage
+    if complete:
+        recovery = recover(path)
+        assert recovery.messages >= complete
+        again = Scan(path)
+        assert sum(1 for _ in again.messages()) == recovery.messages and again.finished and not again.damage
+        assert recovery.original.read_bytes() == intact[:cut]
+    else:
+        with pytest.raises(BagError, match="not one message"):
+            recover(path)
+        assert path.read_bytes() == intact[:cut]
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(at=st.integers(100, 10**9), value=st.integers(0, 255))
+def test_a_wrong_byte_never_crashes_the_scan(tmp_path_factory, intact, at, value):
+    data = bytearray(intact)
+    data[at % len(data)] = value
+    path = tmp_path_factory.mktemp("flip") / "flip.mcap"
+    path.write_bytes(data)
+    total = sum(1 for _ in Scan(path).messages())
+    assert total <= 400 * 4 + 42
+
+
+def test_a_damaged_chunk_costs_that_chunk_alone(tmp_path, intact, chunk_ends):
+    (start, before), (_, after) = chunk_ends[3], chunk_ends[4]
+    data = bytearray(intact)
+    data[start + 400] ^= 0xFF  # inside the index or the fourth chunk's compressed data
+    data[chunk_ends[4][0] - 200] ^= 0xFF
+    path = tmp_path / "x.mcap"
+    path.write_bytes(data)
+    scan = Scan(path)
+    count = sum(1 for _ in scan.messages())
+    assert count == chunk_ends[-1][1] - (after - before)
+    assert len(scan.damage) == 1 and "damaged" in scan.damage[0]
+
+
+def test_a_tail_of_zeros_as_a_power_failure_leaves_it_is_no_data(tmp_path, intact, chunk_ends):
+    end, count = chunk_ends[5]
+    path = tmp_path / "x.mcap"
+    path.write_bytes(intact[:end] + bytes(5000))
+    scan = Scan(path)
+    assert sum(1 for _ in scan.messages()) == count
+    assert "no record begins" in scan.damage[0]
+
+
+def test_a_reader_recovers_by_itself_and_says_so(tmp_path, intact):
+    whole = rollout(samples=400)
+    path = tmp_path / "walk_1.mcap"
+    path.write_bytes(intact[: len(intact) // 2])
+    back = read_measurement(path)
+    assert 100 < len(back.time) < 300
+    assert np.array_equal(back.joint_position, whole.joint_position[: len(back.time)])
+    assert any("is damaged" in note and "recover" in note for note in back.notes)
+    assert any("no END event" in note for note in back.notes)
+    assert back.scenario.duration == pytest.approx(back.time[-1])
+
+
+def test_a_repaired_bag_is_a_bag_for_other_readers_and_the_original_is_kept(tmp_path):
+    bag = write_measurement(tmp_path, rollout(samples=400))
+    (bag / "metadata.yaml").unlink()
+    file = bag / "walk_1_0.mcap"
+    cut = file.read_bytes()[: file.stat().st_size // 2]
+    file.write_bytes(cut)
+    recovery = recover(bag)
+    assert recovery.bag == bag and recovery.repaired and recovery.lost_bytes > 0 and 2 < recovery.seconds < 6
+    assert (recovery.original / "walk_1_0.mcap").read_bytes() == cut
+    with Reader(bag) as reader:
+        assert reader.message_count == recovery.messages == sum(recovery.topics.values())
+        assert all(c.digest == schemas.type_hash(c.msgtype) for c in reader.connections)
+    assert [note[:6] for note in read_measurement(bag).notes] == ["no END"]
+    assert find_bags([tmp_path]) == [bag], "the damaged original must not be read with the others"
+
+
+def test_an_unfinished_recording_gets_its_final_name(tmp_path):
+    bag = write_measurement(tmp_path, rollout())
+    bag.rename(tmp_path / "walk_1.recording")
+    (tmp_path / "walk_1.recording" / "metadata.yaml").unlink()
+    recovery = recover(tmp_path / "walk_1.recording")
+    assert recovery.bag == tmp_path / "walk_1"
+    assert differences(rollout(), read_measurement(recovery.bag)) == []
+
+
+def test_a_sound_bag_is_left_alone(tmp_path):
+    bag = write_measurement(tmp_path, rollout())
+    before = (bag / "walk_1_0.mcap").stat().st_mtime_ns
+    recovery = recover(bag)
+    assert not recovery.repaired and recovery.messages == 416
+    assert (bag / "walk_1_0.mcap").stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
+def test_the_readable_part_of_a_large_unfinished_chunk_is_saved(tmp_path, compression):
+    path = tmp_path / "lab.mcap"
+    rng = np.random.default_rng(0)
+    with path.open("wb") as file:
+        writer = McapWriter(file, chunk_size=4 << 20, compression=compression)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/text", "cdr", schema)
+        for i in range(1000):
+            writer.add_message(channel, i, rng.bytes(1000), i)
+        writer.finish()
+    path.write_bytes(path.read_bytes()[:700_000])
+    scan = Scan(path)
+    saved = list(scan.messages())
+    assert len(saved) > 400
+    assert [m.log_time for m in saved] == list(range(len(saved)))
+    assert scan.damage == ["the file ends inside a record"]
+
+
+def test_another_format_is_named(tmp_path):
+    path = tmp_path / "not.mcap"
+    path.write_bytes(b"SQLite format 3\0" + bytes(100))
+    with pytest.raises(BagError, match="another format"):
+        list(Scan(path).messages())
