@@ -1,0 +1,127 @@
+"""For tests that start node processes: a ROS domain of their own, a graph that must end cleanly, a peer to talk with.
+
+@pytest.mark.graph
+def test_something(start_graph, peer):
+    graph = start_graph(NodeProcess("tcbi_sim", "sim_node", parameters={"lockstep": True}))
+    got = peer.collect("joint_states", JointState, STREAM_QOS)
+    peer.wait_until(lambda: len(got) >= 10, "ten joint states")
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import domain_coordinator
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from tcbi_bringup.graph_monitor import GraphMonitor
+from tcbi_bringup.launcher import Graph, NodeProcess
+
+DEADLINE_S = 40.0  # far beyond what is needed, for a machine that does much else
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A ROS domain that no other test uses meanwhile; ROS_DOMAIN_ID is set to it."""
+    with domain_coordinator.domain_id() as number:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        yield number
+
+
+@pytest.fixture
+def start_graph(domain: int, tmp_path) -> Iterator[Callable[..., Graph]]:
+    """`start_graph(process, …, restart=False)` starts processes and waits until each node is there.
+
+    At the end all are stopped, and each that the test has not seen end itself (`wait_for_exit`) must exit with 0.
+    """
+    graphs: list[Graph] = []
+
+    def start(*processes: NodeProcess, restart: bool = False, wait: bool = True) -> Graph:
+        graph = Graph(processes, domain_id=domain, log_dir=tmp_path / f"log{len(graphs)}", restart=restart)
+        graphs.append(graph.__enter__())
+        if wait:
+            wait_for_nodes(graph, processes, domain)
+        return graph
+
+    try:
+        yield start
+    finally:
+        codes, logs = {}, ""
+        for graph in graphs:
+            running = [s.name for s in graph.status() if s.state == "running"]
+            ended = graph.stop(*running) if running else {}
+            codes.update(ended)
+            logs += "".join(f"\n--- {name}\n{graph.tail(name, 30)}" for name, code in ended.items() if code)
+            graph.__exit__(None, None, None)
+    assert not any(codes.values()), f"exit codes {codes}{logs}"
+
+
+def wait_for_nodes(graph: Graph, processes: tuple[NodeProcess, ...], domain: int) -> None:
+    """Wait until the nodes of `processes` are discovered; fails at once when one of them ends."""
+    names = {f"{p.namespace.strip('/')}/{p.key if p.rename else p.executable}" for p in processes if p.ros}
+    deadline = time.monotonic() + DEADLINE_S
+    with GraphMonitor(domain) as monitor:
+        while missing := {n for n in names if not any(m.endswith("/" + n.strip("/")) for m in monitor.node_names())}:
+            graph.check()
+            assert time.monotonic() < deadline, f"nodes {missing} not there after {DEADLINE_S} s"
+            time.sleep(0.05)
+
+
+class Peer:
+    """A node inside the test: collects messages, publishes, calls services."""
+
+    def __init__(self, domain: int) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node: Node = rclpy.create_node("peer", context=self._context)
+        self.executor = SingleThreadedExecutor(context=self._context)
+        self.executor.add_node(self.node)
+
+    def collect(self, topic: str, kind: type, qos: QoSProfile | int) -> list[Any]:
+        """Subscribe; returns the list that messages are appended to while the peer waits."""
+        messages: list[Any] = []
+        self.node.create_subscription(kind, topic, messages.append, qos)
+        return messages
+
+    def publisher(self, topic: str, kind: type, qos: QoSProfile | int, subscribers: int = 1) -> Any:
+        """A publisher that already has its subscribers."""
+        publisher = self.node.create_publisher(kind, topic, qos)
+        self.wait_until(lambda: publisher.get_subscription_count() >= subscribers, f"{subscribers} on {topic}")
+        return publisher
+
+    def call(self, service: str, request: Any, kind: type, timeout_s: float = DEADLINE_S) -> Any:
+        """Call a service and wait for its answer."""
+        client = self.node.create_client(kind, service)
+        self.wait_until(client.service_is_ready, f"service {service}", timeout_s)
+        return self.result(client.call_async(request), f"the answer of {service}", timeout_s)
+
+    def result(self, future: Any, what: str, timeout_s: float = DEADLINE_S) -> Any:
+        """Wait for a future."""
+        self.wait_until(future.done, what, timeout_s)
+        return future.result()
+
+    def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float = DEADLINE_S) -> None:
+        """Spin until the condition holds; fails at the deadline, naming what was waited for."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, f"{what}: not within {timeout_s:g} s"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def close(self) -> None:
+        """End the node."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+
+@pytest.fixture
+def peer(domain: int) -> Iterator[Peer]:
+    """A node of the test's own in the test's domain."""
+    made = Peer(domain)
+    yield made
+    made.close()
