@@ -1,0 +1,361 @@
+"""One connection to the robot: the 50 Hz cycle of reading, and everything that moves a servo.
+
+All methods run in the one thread that owns the port. `step` does what is due, waits a few milliseconds for bytes,
+and hands what came to the sink. Any failure of the wire leaves as `LinkLost`; the safety state outlives the connection.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from hexapod_driver import feetech, sensor_board
+from hexapod_driver.calibration import Calibration
+from hexapod_driver.errors import CommandRefused, LinkLost
+from hexapod_driver.feetech import Packet, TimedMove
+from hexapod_driver.posture import PostureMove
+from hexapod_driver.safety import Mode, Move, Safety
+from hexapod_driver.sensor_board import FrameError, Kind, Sample
+from hexapod_driver.wire import BoardFrame, BusReply, Wire
+from tcbi_contract.names import CONTROL_PERIOD_S, JOINTS, SENSOR_RATE_HZ
+
+POLL_S = 0.01
+READ_PERIOD_S = 1 / SENSOR_RATE_HZ
+HEALTH_PERIOD_S = 1.0
+TORQUE_CHECK_S = 0.5
+KEEP_ALIVE_S = 0.1
+STREAM_RETRY_S = 0.2
+STOP_CONFIRM_S = 0.5
+HEALTH_BYTES = 8  # position, speed, load, voltage, temperature from address 56
+
+
+@dataclass(frozen=True)
+class JointReading:
+    """All joints at once: ROS stamp in ns, (18,) rad."""
+
+    stamp_ns: int
+    position: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class BoardReading:
+    """One sample of the sensor board: ROS stamp in ns, the sample."""
+
+    stamp_ns: int
+    sample: Sample
+
+
+Reading = JointReading | BoardReading
+Done = Callable[[bool, str], None]
+
+
+@dataclass
+class Health:
+    """What diagnostics tell about one connection. Keys of the dictionaries are servo ids."""
+
+    voltage: dict[int, float] = field(default_factory=dict)
+    temperature: dict[int, int] = field(default_factory=dict)
+    errors: dict[int, int] = field(default_factory=dict)
+    torque: dict[int, bool] = field(default_factory=dict)
+    incomplete_reads: int = 0
+    silent_servos: tuple[int, ...] = ()
+    joint_readings: int = 0
+    board_samples: int = 0
+    limited_commands: int = 0
+    skipped_questions: int = 0
+
+
+class Timer:
+    """True once a period, without drift, and without catching up on what was missed."""
+
+    def __init__(self, period_s: float, start: float) -> None:
+        self.period_s = period_s
+        self._next = start
+
+    def due(self, now: float) -> bool:
+        """Whether the period has passed."""
+        if now < self._next:
+            return False
+        self._next = max(self._next + self.period_s, now - self.period_s)
+        return True
+
+    def left(self, now: float) -> float:
+        """Seconds until it is due, 0 if it is."""
+        return max(0.0, self._next - now)
+
+    def soon(self, now: float, delay_s: float) -> None:
+        """Be due `delay_s` from now."""
+        self._next = now + delay_s
+
+
+class Robot:
+    """A connected robot.
+
+    Args:
+      wire: open and checked.
+      safety: outlives the connection.
+      sink: takes every reading.
+      watchdog_ms: silence after which the board makes the servos limp without being told.
+    """
+
+    def __init__(
+        self, wire: Wire, calibration: Calibration, safety: Safety, sink: Callable[[Reading], None], watchdog_ms: int
+    ) -> None:
+        self.wire = wire
+        self.health = Health()
+        self._calibration = calibration
+        self._safety = safety
+        self._sink = sink
+        self._watchdog_ms = watchdog_ms
+        self._names = dict(zip(calibration.servos, JOINTS, strict=True))
+        now = time.monotonic()
+        self._read_timer = Timer(READ_PERIOD_S, now)
+        self._health_timer = Timer(HEALTH_PERIOD_S, now)
+        self._torque_timer = Timer(TORQUE_CHECK_S, now + TORQUE_CHECK_S)
+        self._limp_timer = Timer(CONTROL_PERIOD_S, now)
+        self._alive_timer = Timer(KEEP_ALIVE_S, now)
+        self._stream_timer = Timer(STREAM_RETRY_S, now)
+        self._last_sample = self._last_reply = now
+        self._last_board_us: int | None = None
+        self._purpose: dict[int, Callable[[BusReply], None]] = {}
+        self._posture: PostureMove | None = None
+        self._stops: list[tuple[float, Done]] = []
+
+    def step(self) -> None:
+        """Do what is due, then wait for bytes, at most 10 ms."""
+        now = time.monotonic()
+        self._watch(now)
+        self._request(now)
+        self._continue_posture(now)
+        for event in self.wire.poll(min(POLL_S, self._read_timer.left(now))):
+            if isinstance(event, BoardFrame):
+                self._take_board(event)
+            elif (purpose := self._purpose.pop(event.tag, None)) is not None:
+                purpose(event)
+
+    def command(self, target: Sequence[float], duration_s: float) -> None:
+        """Move towards `target` (18,) rad.
+
+        Raises:
+          CommandRefused: see `Safety.command`.
+        """
+        self._send_move(self._safety.command(time.monotonic(), target, duration_s))
+
+    def begin_posture(self, target: Sequence[float], tolerance: float, done: Done) -> None:
+        """Move slowly to `target` (18,) rad; `done` is called once with success and a line.
+
+        Raises:
+          CommandRefused: see `Safety.begin_reset`.
+        """
+        now = time.monotonic()
+        start = self._safety.begin_reset(now)
+        self._posture = PostureMove(tuple(target), start, self._safety.limits.approach_speed, tolerance, now, done)
+
+    def stop(self, done: Done) -> None:
+        """Emergency stop; `done` is called when all servos confirm that their torque is off, or after half a second."""
+        now = time.monotonic()
+        self._safety.stop()
+        self.health.torque = {}
+        self._stops.append((now + STOP_CONFIRM_S, done))
+        self._limp(now)
+
+    def torque_off(self) -> tuple[int, ...]:
+        """Take the torque off for good, before the port is closed. Returns the ids that do not confirm it."""
+        servos = self._calibration.servos
+        for _ in range(3):
+            self.wire.submit(feetech.torque(servos, False))
+            packets = self.wire.transact(self._torque_question(), len(servos), 0.15)
+            off = {p.id for p in packets if p.params == b"\x00"}
+            if off.issuperset(servos):
+                return ()
+        return tuple(s for s in servos if s not in off)
+
+    def abandon(self, reason: str) -> None:
+        """The connection is over: tell everybody who waits."""
+        if self._posture is not None:
+            self._finish_posture(False, reason)
+        stops, self._stops = self._stops, []
+        for _, done in stops:
+            done(False, f"emergency stop stands, but the servos did not confirm: {reason}; cut the power to be sure")
+
+    # What is due
+
+    def _watch(self, now: float) -> None:
+        silence = self._safety.limits.silence_s
+        if now - self._last_sample > silence:
+            raise LinkLost(f"no sample from the sensor board for {silence} s ({self.wire.bad_frames} damaged frames)")
+        if self._safety.tick(now):
+            self._limp(now)
+        if self._safety.mode is not Mode.ACTIVE and self._limp_timer.due(now):
+            self._limp(now)
+        self._answer_stops(now)
+
+    def _request(self, now: float) -> None:
+        servos = self._calibration.servos
+        if self._health_timer.due(now):
+            self._ask(feetech.sync_read(servos, feetech.PRESENT_POSITION, HEALTH_BYTES), self._take_health)
+        if self._torque_timer.due(now):
+            self._ask_torque()
+        if self._read_timer.due(now):
+            self._ask(feetech.sync_read(servos, feetech.PRESENT_POSITION, 2), self._take_positions)
+        if self._alive_timer.due(now):
+            self.wire.send_board(Kind.KEEP_ALIVE)
+        if now - self._last_sample > STREAM_RETRY_S / 2 and self._stream_timer.due(now):
+            self._start_stream()
+
+    def _ask(self, packet: bytes, purpose: Callable[[BusReply], None]) -> None:
+        if len(self._purpose) >= self.wire.most_in_flight:
+            self.health.skipped_questions += 1
+            return
+        tag = self.wire.submit(packet, len(self._calibration.servos))
+        self._purpose[tag] = purpose
+
+    def _start_stream(self) -> None:
+        payload = sensor_board.stream_payload(sensor_board.STREAM_RATE_HZ, self._watchdog_ms)
+        self.wire.send_board(Kind.STREAM, payload)
+
+    def _torque_question(self) -> bytes:
+        return feetech.sync_read(self._calibration.servos, feetech.TORQUE_ENABLE, 1)
+
+    def _ask_torque(self) -> None:
+        expect_on = self._safety.mode is Mode.ACTIVE
+        self._ask(self._torque_question(), lambda reply: self._take_torque(reply, expect_on))
+
+    def _limp(self, now: float) -> None:
+        """Torque off, said again and again while limp, since a sync write is not acknowledged."""
+        self.wire.submit(feetech.torque(self._calibration.servos, False))
+        if self._stops:
+            self._ask_torque()
+        self._limp_timer.soon(now, CONTROL_PERIOD_S)
+
+    def _answer_stops(self, now: float) -> None:
+        if not self._stops:
+            return
+        servos = self._calibration.servos
+        unsure = [s for s in servos if self.health.torque.get(s, True)]
+        waiting = []
+        for deadline, done in self._stops:
+            if not unsure:
+                done(True, f"all {len(servos)} servos confirm that their torque is off")
+            elif now > deadline:
+                done(False, f"emergency stop stands, but servos {unsure} did not confirm; cut the power to be sure")
+            else:
+                waiting.append((deadline, done))
+        self._stops = waiting
+
+    # What arrives
+
+    def _take_board(self, event: BoardFrame) -> None:
+        if event.frame.kind != Kind.SAMPLE:
+            return
+        try:
+            sample = sensor_board.parse_sample(event.frame.payload)
+        except FrameError:
+            self.wire.counters.bad_payloads += 1
+            return
+        if sample.time_us == self._last_board_us:
+            return  # said twice
+        self._last_board_us = sample.time_us
+        self._last_sample = time.monotonic()
+        self.wire.board_clock.observe(sample.time_us, event.arrival_ns)
+        if sample.watchdog_tripped:
+            if self._safety.mode is Mode.ACTIVE:
+                self._safety.go_limp("the sensor board's watchdog took the torque off", needs_reset=True)
+            self._start_stream()  # which clears the board's flag
+        self.health.board_samples += 1
+        self._sink(BoardReading(self.wire.board_clock.stamp(sample.time_us, event.arrival_ns), sample))
+
+    def _take_positions(self, reply: BusReply) -> None:
+        steps = {p.id: int.from_bytes(p.params, "little") for p in self._answers(reply, 2)}
+        sound = {servo: step for servo, step in steps.items() if step < feetech.STEPS_PER_TURN}
+        silent = tuple(s for s in self._calibration.servos if s not in sound)
+        self.health.silent_servos = silent
+        if silent:
+            self.health.incomplete_reads += 1
+            return
+        position = tuple(self._calibration.to_radian(name, sound[servo]) for servo, name in self._names.items())
+        self._safety.measured(time.monotonic(), position)
+        self.health.joint_readings += 1
+        self._sink(JointReading(reply.stamp_ns, position))
+
+    def _take_health(self, reply: BusReply) -> None:
+        packets = self._answers(reply, HEALTH_BYTES)
+        voltage, temperature = (
+            r - feetech.PRESENT_POSITION for r in (feetech.PRESENT_VOLTAGE, feetech.PRESENT_TEMPERATURE)
+        )
+        self.health.voltage = {p.id: p.params[voltage] / 10 for p in packets}
+        self.health.temperature = {p.id: p.params[temperature] for p in packets}
+
+    def _take_torque(self, reply: BusReply, expect_on: bool) -> None:
+        packets = self._answers(reply, 1)
+        self.health.torque = {p.id: p.params != b"\x00" for p in packets}
+        lost = [f"{self._names[s]} (id {s})" for s, on in self.health.torque.items() if not on]
+        if expect_on and lost and self._safety.mode is Mode.ACTIVE:
+            self._safety.go_limp(
+                f"no torque at {', '.join(lost)}: overload protection or a restarted servo", needs_reset=True
+            )
+            self._limp(time.monotonic())
+
+    def _answers(self, reply: BusReply, length: int) -> list[Packet]:
+        packets = [p for p in reply.packets if p.id in self._names and len(p.params) == length]
+        for packet in packets:
+            self.health.errors[packet.id] = packet.code
+        return packets
+
+    # What moves
+
+    def _continue_posture(self, now: float) -> None:
+        posture = self._posture
+        if posture is None:
+            return
+        if not self._safety.resetting:
+            self._finish_posture(False, f"interrupted: {self._safety.reason}")
+            return
+        if posture.due(now):
+            try:
+                self._send_move(self._safety.command(now, posture.target, CONTROL_PERIOD_S, from_reset=True))
+            except CommandRefused as error:
+                self._finish_posture(False, str(error))
+                return
+        outcome = posture.outcome(now, self._safety.position)
+        if outcome is not None:
+            self._finish_posture(*outcome)
+
+    def _finish_posture(self, success: bool, text: str) -> None:
+        assert self._posture is not None
+        done, self._posture = self._posture.done, None
+        now = time.monotonic()
+        if success:
+            self._safety.hold(now)
+        elif self._safety.resetting:
+            self._safety.go_limp(f"reset: {text}", needs_reset=True)
+            self._limp(now)
+        done(success, text)
+
+    def _send_move(self, move: Move) -> None:
+        if move.limited:
+            self.health.limited_commands += 1
+        if move.arm:
+            self._arm(move.start)
+        steps = self._steps(move.start), self._steps(move.target)
+        time_ms = round(move.duration_s * 1000)
+        moves = {
+            servo: TimedMove(steps[1][servo], time_ms, _speed(steps[1][servo] - steps[0][servo], move.duration_s))
+            for servo in self._calibration.servos
+        }
+        self.wire.submit(feetech.timed_moves(moves))
+
+    def _arm(self, start: Sequence[float]) -> None:
+        """Goals to where the joints are, then torque on: a servo that wakes up must not jump to an old goal."""
+        here = {servo: TimedMove(step, 0, 1) for servo, step in self._steps(start).items()}
+        self.wire.submit(feetech.timed_moves(here))
+        self.wire.submit(feetech.torque(self._calibration.servos, True))
+        self._torque_timer.soon(time.monotonic(), 0.1)
+
+    def _steps(self, position: Sequence[float]) -> dict[int, int]:
+        names = zip(self._calibration.servos, JOINTS, position, strict=True)
+        return {servo: self._calibration.to_step(name, angle) for servo, name, angle in names}
+
+
+def _speed(steps: int, duration_s: float) -> int:
+    """Steps/s that make a ramp last `duration_s`; never 0, which a servo takes for as fast as it can."""
+    return min(max(round(abs(steps) / duration_s), 1), 32767)

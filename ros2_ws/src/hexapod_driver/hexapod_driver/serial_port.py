@@ -1,0 +1,114 @@
+"""Opening a serial port for this process alone, and errors that say what to do."""
+
+import errno
+import grp
+import os
+import select
+import termios
+
+import serial
+
+from hexapod_driver.errors import LinkLost, PortError
+
+WRITE_TIMEOUT_S = 0.1
+
+
+def _remedy(code: int | None, path: str) -> str:
+    if code == errno.ENOENT:
+        return "port {path} does not exist; plug the robot in or bind its Bluetooth port, and look with `ls /dev/tty* /dev/rfcomm*`"
+    if code in (errno.EBUSY, errno.EAGAIN):
+        return "port {path} is busy: another program holds it; `fuser {path}` names it"
+    if code in (errno.EACCES, errno.EPERM):
+        return f"port {{path}}: no permission; join its group with `sudo usermod -aG {_group(path)} $USER` and log in again"
+    if code in (errno.ENOTTY, errno.EINVAL, errno.EISDIR):
+        return "port {path} is not a serial port"
+    return "port {path} cannot be opened"
+
+
+def _group(path: str) -> str:
+    try:
+        return grp.getgrgid(os.stat(path).st_gid).gr_name
+    except (OSError, KeyError):
+        return "dialout"
+
+
+class SerialPort:
+    """An open port that never blocks on reading and that turns every failure into `LinkLost`.
+
+    with SerialPort("/dev/rfcomm0", 921600) as port:
+        port.write(b"...")
+        data = port.read()      # what is there, perhaps nothing
+    """
+
+    def __init__(self, path: str, baud_rate: int) -> None:
+        """Open `path` exclusively and throw away what lies in its buffers.
+
+        Raises:
+          PortError: it does not exist, is busy, is forbidden, or is no serial port.
+        """
+        self.path = path
+        try:
+            self._serial = serial.Serial(path, baud_rate, timeout=0, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
+            self._serial.reset_output_buffer()
+        except (serial.SerialException, OSError, termios.error) as error:
+            code = error.errno if isinstance(error, OSError) and error.errno else _first_int(error.args)
+            raise PortError(f"{_remedy(code, path).format(path=path)} ({_reason(error, code)})") from error
+        except ValueError as error:
+            raise PortError(f"port {path}: {error}; choose another baud rate") from error
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self._serial.fileno()
+
+    def read(self) -> bytes:
+        """The bytes that have arrived, perhaps none.
+
+        Raises:
+          LinkLost: the other side closed the port or it was unplugged.
+        """
+        try:
+            ready, _, _ = select.select([self._serial.fileno()], [], [], 0)
+            if not ready:
+                return b""
+            data = os.read(self._serial.fileno(), 4096)
+        except BlockingIOError:
+            return b""
+        except (OSError, ValueError, serial.SerialException) as error:
+            raise LinkLost(f"port {self.path} went away ({error})") from error
+        if not data:  # ready, yet empty: on a terminal, that is how a hang-up looks
+            raise LinkLost(f"port {self.path} went away, or another program reads from it too")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Write all of `data`.
+
+        Raises:
+          LinkLost: the port is gone or takes no more bytes.
+        """
+        try:
+            self._serial.write(data)
+        except serial.SerialTimeoutException as error:
+            raise LinkLost(f"port {self.path} takes no more bytes; the other side has stopped reading") from error
+        except (serial.SerialException, OSError, termios.error) as error:
+            raise LinkLost(f"port {self.path} went away ({error})") from error
+
+    def close(self) -> None:
+        """Close the port; safe to call twice and on a port that is gone."""
+        try:
+            self._serial.close()
+        except (OSError, termios.error):
+            self._serial.is_open = False
+
+    def __enter__(self) -> "SerialPort":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _first_int(args: tuple) -> int | None:
+    return next((a for a in args if isinstance(a, int)), None)
+
+
+def _reason(error: Exception, code: int | None) -> str:
+    return os.strerror(code) if code else str(error)

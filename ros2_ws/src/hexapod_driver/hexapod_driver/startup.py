@@ -1,0 +1,74 @@
+"""The check before anything moves: is every servo and the sensor board there? One error names all that is missing."""
+
+from hexapod_driver import feetech, sensor_board
+from hexapod_driver.calibration import Calibration
+from hexapod_driver.errors import StartupError
+from hexapod_driver.feetech import Instruction
+from hexapod_driver.sensor_board import Feature, FrameError, Identity, Kind
+from hexapod_driver.wire import OneLink, Wire
+
+ATTEMPTS = 3
+REPLY_S = 0.15
+PINGS_S = 0.6
+
+
+def check(wire: Wire, calibration: Calibration) -> Identity:
+    """Ping the sensor board and all servos, after taking the torque off.
+
+    Raises:
+      StartupError: the board does not answer, speaks another version, or servos are missing: expected and found.
+    """
+    identity = _identify(wire)
+    wire.submit(feetech.torque(calibration.servos, False))
+    missing = _missing(wire, calibration)
+    if not missing:
+        return identity
+    found = len(calibration.joints) - len(missing)
+    names = ", ".join(f"{name} (id {calibration.joints[name].servo})" for name in missing)
+    raise StartupError(
+        f"servos: expected {len(calibration.joints)}, found {found}; no answer from {names}; check power, cables and the ids in "
+        f"the calibration of {calibration.robot}"
+    )
+
+
+def _missing(wire: Wire, calibration: Calibration) -> list[str]:
+    missing = list(calibration.joints)
+    for _ in range(ATTEMPTS):
+        pings = {wire.submit(feetech.encode(calibration.joints[n].servo, Instruction.PING), 1): n for n in missing}
+        replies = wire.gather(pings, PINGS_S)
+        for tag, name in pings.items():
+            if any(p.id == calibration.joints[name].servo for p in replies.get(tag, ())):
+                missing.remove(name)
+        if not missing:
+            break
+    return missing
+
+
+def _identify(wire: Wire) -> Identity:
+    for _ in range(ATTEMPTS):
+        frame = wire.ask_board(Kind.IDENTIFY, b"", Kind.IDENTITY, REPLY_S)
+        if frame is None:
+            continue
+        try:
+            identity = sensor_board.parse_identity(frame.payload)
+        except FrameError as error:
+            raise StartupError(f"sensor board: {error}") from error
+        if isinstance(wire, OneLink) and not identity.features & Feature.SERVO_BUS:
+            raise StartupError(
+                f"sensor board {identity.name!r} does not carry the servo bus; give the board's port as sensor_port and the "
+                "servo bus as port"
+            )
+        return identity
+    raise StartupError(_silence(wire))
+
+
+def _silence(wire: Wire) -> str:
+    if wire.frames.foreign_versions:
+        seen = ", ".join(map(str, sorted(wire.frames.foreign_versions)))
+        return f"sensor board: speaks protocol version {seen}, allowed is {sensor_board.VERSION}; update its firmware"
+    if wire.counters.bytes_read:
+        return (
+            f"sensor board: {wire.counters.bytes_read} bytes came, none of them a frame of this robot; check that the port "
+            "belongs to the robot, and the baud rate"
+        )
+    return "sensor board: no answer, not one byte; check that the robot is switched on, and the port"

@@ -1,0 +1,94 @@
+"""The driver's health in words: what goes into `diagnostics` once a second. Pure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from hexapod_driver import feetech
+from hexapod_driver.calibration import Calibration
+from hexapod_driver.link import Link
+from hexapod_driver.robot import Health
+from hexapod_driver.safety import Mode, Safety
+
+OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
+HOT_C = 65  # an STS servo protects itself at 70 degrees
+
+
+@dataclass(frozen=True)
+class Status:
+    """One entry: level, a line, values by name."""
+
+    name: str
+    level: int
+    message: str
+    values: dict[str, str] = field(default_factory=dict)
+
+
+def statuses(link: Link, refused: int, last_refusal: str) -> list[Status]:
+    """Link, servos and safety at this moment."""
+    return [_link(link), _servos(link), _safety(link.safety, refused, last_refusal)]
+
+
+def _link(link: Link) -> Status:
+    robot = link.robot
+    values = {"port": link.settings.port, "reconnects": str(link.reconnects)}
+    if robot is None:
+        return Status("link", ERROR, link.state, values)
+    counters = robot.wire.counters
+    values |= {
+        "joint_readings": str(robot.health.joint_readings),
+        "board_samples": str(robot.health.board_samples),
+        "dropped_frames": str(counters.lost_samples),
+        "damaged_frames": str(robot.wire.bad_frames),
+        "late_replies": str(counters.late_replies),
+        "incomplete_readings": str(robot.health.incomplete_reads),
+        "skipped_questions": str(robot.health.skipped_questions),
+        "clock_restarts": str(robot.wire.board_clock.restarts),
+    }
+    if link.identity is not None:
+        values |= {"board": link.identity.name, "board_firmware": str(link.identity.firmware)}
+    return Status("link", OK, link.state, values)
+
+
+def _servos(link: Link) -> Status:
+    robot = link.robot
+    if robot is None:
+        return Status("servos", ERROR, "not connected")
+    health, calibration = robot.health, link.settings.calibration
+    faults = _servo_faults(health, calibration)
+    values = {"voltage_V": f"{min(health.voltage.values()):.1f}"} if health.voltage else {}
+    for name, joint in calibration.joints.items():
+        if joint.servo in health.temperature:
+            values[f"temperature_C/{name}"] = str(health.temperature[joint.servo])
+    level = ERROR if health.silent_servos else WARN if faults else OK
+    return Status("servos", level, "; ".join(faults) or f"all {len(calibration.joints)} servos answer", values)
+
+
+def _servo_faults(health: Health, calibration: Calibration) -> list[str]:
+    names = {joint.servo: f"{name} (id {joint.servo})" for name, joint in calibration.joints.items()}
+    faults = []
+    if health.silent_servos:
+        faults.append(f"no answer from {_listed(names, health.silent_servos)}")
+    for servo, code in dict(health.errors).items():
+        if code:
+            faults.append(f"{names[servo]} reports {', '.join(feetech.error_names(code))}")
+    hot = [servo for servo, degrees in health.temperature.items() if degrees >= HOT_C]
+    if hot:
+        faults.append(f"hot: {_listed(names, hot)}")
+    return faults
+
+
+def _listed(names: dict[int, str], servos: Sequence[int]) -> str:
+    return ", ".join(names[s] for s in servos)
+
+
+def _safety(safety: Safety, refused: int, last_refusal: str) -> Status:
+    mode = safety.mode
+    level = ERROR if mode is Mode.STOPPED else WARN if safety.needs_reset else OK
+    message = mode.value if not safety.reason or safety.reason == mode.value else f"{mode.value}: {safety.reason}"
+    if safety.needs_reset:
+        release = "call emergency_stop/release, then" if mode is Mode.STOPPED else "call"
+        message += f"; {release} reset_episode to arm"
+    values = {"mode": mode.value, "needs_reset": str(safety.needs_reset).lower(), "refused_commands": str(refused)}
+    if last_refusal:
+        values["last_refusal"] = last_refusal
+    return Status("safety", level, message, values)
