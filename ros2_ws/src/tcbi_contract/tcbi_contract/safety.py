@@ -142,6 +142,11 @@ class Safety:
         self._measured_s = -math.inf
         self._deadline_s = math.inf
 
+    @property
+    def position(self) -> tuple[float, ...]:
+        """(18,) rad, the last reading of all joints; empty before the first."""
+        return self._measured
+
     def measured(self, now: float, position: Sequence[float]) -> None:
         """All joints were read just now (rad)."""
         self._measured = tuple(position)
@@ -186,7 +191,8 @@ class Safety:
         start = self._setpoint
         limit = self.limits.joint_limit
         inside = [min(max(t, -limit), limit) for t in target]
-        reach = (self.limits.approach_speed if self._approaching else self.limits.max_speed) * duration_s
+        slow = self._approaching or from_reset
+        reach = (self.limits.approach_speed if slow else self.limits.max_speed) * duration_s
         safe = tuple(s + min(max(t - s, -reach), reach) for s, t in zip(start, inside, strict=True))
         limited = tuple(n for n, t, s in zip(JOINTS, target, safe, strict=True) if abs(t - s) > 1e-9)
         if all(abs(t - s) <= 1e-9 for t, s in zip(inside, safe, strict=True)):
