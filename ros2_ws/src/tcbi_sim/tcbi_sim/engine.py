@@ -33,6 +33,16 @@ WINDOW = 25  # samples between two looks at the commands in open loop
 MEMORY_S = 0.3  # s of samples kept for late sensors
 
 
+def silence_mujoco() -> None:
+    """Keep MuJoCo's warnings off the console and out of MUJOCO_LOG.TXT: divergence is reported per simulation instead."""
+    config = mujoco.MjLogConfig.get()
+    config.logto_console = config.logto_file = False
+    config.set()
+
+
+silence_mujoco()
+
+
 class Controller(Protocol):
     """A policy or gait, closed loop at the control rate."""
 

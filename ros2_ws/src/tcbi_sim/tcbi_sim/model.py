@@ -46,6 +46,11 @@ class Model:
         return tuple(p.name for p in self.parameters)
 
     @property
+    def saved_version(self) -> str:
+        """The version that this model is, or that an unsaved one comes from."""
+        return self.version.partition("+")[0]
+
+    @property
     def weights(self) -> np.ndarray:
         """(N,), sum to one."""
         w = np.exp(self.log_weights - self.log_weights.max())
@@ -90,7 +95,7 @@ class Model:
             effects=(*self.effects, use.key),
             parameters=self.parameters + use.parameters,
             particles=np.concatenate([self.particles, new], axis=1),
-            parent=self.version,
+            parent=self.saved_version,
             evidence={},
             created=now(),
         )
@@ -100,7 +105,7 @@ class Model:
         if log_weights is None:
             log_weights = np.full(len(particles), -np.log(len(particles)))
         return dataclasses.replace(
-            self, particles=particles, log_weights=log_weights, parent=self.version, evidence=evidence, created=now()
+            self, version=f"{self.saved_version}+", particles=particles, log_weights=log_weights, parent=self.saved_version, evidence=evidence, created=now()
         )
 
 

@@ -1,0 +1,175 @@
+"""Model versions on disk: one folder each, written whole or not at all, shared by several processes.
+
+    models/<version>/model.json      what it is: rig, effects, parameters, parent, evidence
+    models/<version>/model.xml       MJCF at the mean parameters, which plain MuJoCo loads
+    models/<version>/posterior.nc    netCDF: group `posterior` (equally weighted draws, for ArviZ) and group `particles`
+    policies/ rollouts/ runs/        of the other packages
+
+The root is `--store`, else the environment variable TCBI_STORE, else ~/.local/share/tcbi.
+"""
+
+import dataclasses
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import xarray as xr
+
+from tcbi_sim.errors import SimError, UnknownNameError
+from tcbi_sim.model import Model, base_model, now
+from tcbi_sim.mjcf import to_xml
+from tcbi_sim.parameter import Parameter
+from tcbi_sim.rigs import RIGS
+
+FORMAT = 1
+LATEST = "latest"
+DRAWS = 1000
+
+
+class StoreError(SimError):
+    """A model folder that cannot be read."""
+
+
+def default_root() -> Path:
+    """Where everything is kept unless the user says otherwise."""
+    given = os.environ.get("TCBI_STORE")
+    return Path(given) if given else Path.home() / ".local" / "share" / "tcbi"
+
+
+class ModelStore:
+    """The versions of all models under one root."""
+
+    def __init__(self, root: Path | str | None = None):
+        self.root = Path(root).expanduser() if root else default_root()
+        self.models = self.root / "models"
+
+    def folder(self, kind: str) -> Path:
+        """A folder of the store, made if missing: `policies`, `rollouts`, `runs`, …"""
+        path = self.root / kind
+        path.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def versions(self, rig: str | None = None) -> list[str]:
+        """Known versions, version 0 first: built-in ones of the given rig (or of all), then the saved ones by number."""
+        built_in = [f"{name}-v0" for name in RIGS if rig in (None, name)]
+        saved = [p.name for p in self.models.glob("*-v*") if (p / "model.json").is_file()]
+        if rig:
+            saved = [v for v in saved if v.rpartition("-v")[0] == rig]
+        return built_in + sorted(saved, key=_number)
+
+    def load(self, version: str = LATEST, rig: str = "hexapod") -> Model:
+        """One version; `latest` is the newest of `rig`.
+
+        Raises:
+          UnknownNameError: there is no such version.
+          StoreError: its files are damaged or name what this installation does not know.
+        """
+        known = self.versions(rig if version == LATEST else None)
+        version = known[-1] if version == LATEST else version
+        if version not in known:
+            raise UnknownNameError("model version", version, known)
+        name, _, number = version.rpartition("-v")
+        return base_model(name) if number == "0" else self._read(self.models / version)
+
+    def save(self, model: Model) -> Model:
+        """Write a model as the next version of its rig and return it under that name."""
+        self.models.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=".new-", dir=self.models))
+        try:
+            while True:
+                number = 1 + max((_number(v) for v in self.versions(model.rig)), default=0)
+                named = dataclasses.replace(model, version=f"{model.rig}-v{number}", created=model.created or now())
+                self._write(work, named)
+                try:
+                    os.rename(work, self.models / named.version)
+                    return named
+                except OSError as e:
+                    if not (self.models / named.version).exists():
+                        raise StoreError(f"cannot write {self.models / named.version}: {e.strerror}; free space or choose --store") from e
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
+
+    def history(self, rig: str | None = None) -> list[Model]:
+        """All versions, oldest first."""
+        return [self.load(v) for v in self.versions(rig)]
+
+    def remove(self, version: str) -> None:
+        """Delete a saved version that no other has as its parent.
+
+        Raises:
+          StoreError: it is built in, or has children.
+        """
+        model = self.load(version)
+        if version.endswith("-v0"):
+            raise StoreError(f"{version} is built in and cannot be removed")
+        children = [m.version for m in self.history(model.rig) if m.parent == version]
+        if children:
+            raise StoreError(f"{version} is the parent of {', '.join(children)}; remove those first")
+        shutil.rmtree(self.models / version)
+
+    def _write(self, folder: Path, model: Model) -> None:
+        head = {
+            "format": FORMAT,
+            "version": model.version,
+            "rig": model.rig,
+            "effects": list(model.effects),
+            "parent": model.parent,
+            "created": model.created,
+            "parameters": [dataclasses.asdict(p) for p in model.parameters],
+            "mean": dict(zip(model.names, map(float, model.mean()), strict=True)),
+            "evidence": model.evidence,
+        }
+        (folder / "model.json").write_text(json.dumps(head, indent=1, default=_plain) + "\n")
+        (folder / "model.xml").write_text(to_xml(model))
+        write_posterior(folder / "posterior.nc", model)
+
+    def _read(self, folder: Path) -> Model:
+        try:
+            head = json.loads((folder / "model.json").read_text())
+            if head["format"] != FORMAT:
+                raise StoreError(f"{folder / 'model.json'} has format {head['format']}, this version reads {FORMAT}")
+            with xr.open_dataset(folder / "posterior.nc", group="particles") as particles:
+                values, log_weights = particles["value"].values, particles["log_weight"].values
+            model = Model(
+                head["version"], head["rig"], tuple(head["effects"]), tuple(Parameter(**p) for p in head["parameters"]),
+                values, log_weights, head["parent"], head["evidence"], head["created"],
+            )  # fmt: skip
+            model.uses()  # every effect must be known here
+            return model
+        except (OSError, KeyError, TypeError, ValueError) as e:
+            raise StoreError(f"cannot read the model in {folder}: {e}; remove the folder or restore its files") from e
+
+
+def write_posterior(path: Path, model: Model, seed: int = 0) -> None:
+    """Particles with log-weights, and equally weighted draws that ArviZ opens (`az.from_netcdf`)."""
+    draws = model.sample(np.random.default_rng(seed), DRAWS)
+    posterior = xr.Dataset(
+        {p.name: (("chain", "draw"), draws[None, :, i], {"units": p.unit}) for i, p in enumerate(model.parameters)}
+    )
+    particles = xr.Dataset(
+        {"value": (("particle", "parameter"), model.particles), "log_weight": ("particle", model.log_weights)},
+        coords={"parameter": list(model.names)},
+        attrs={"model": model.version},
+    )
+    tree = xr.DataTree.from_dict({"posterior": posterior, "particles": particles})
+    tree.to_netcdf(path, engine="h5netcdf")
+
+
+def _number(version: str) -> int:
+    number = version.rpartition("-v")[2]
+    return int(number) if number.isdigit() else -1
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    raise TypeError(f"cannot write a {type(value).__name__} as JSON")
