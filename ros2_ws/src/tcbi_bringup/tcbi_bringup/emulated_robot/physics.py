@@ -1,0 +1,242 @@
+"""One emulated robot on its ground: half-millisecond mechanics under 1 kHz servos, a hidden effect, real sensors.
+
+The motion is decided by the robot's seed, its hidden effect and the commands; the trial number draws what differs
+between two repeats of the same run: the noise of the sensors and the waits on a jittery bus.
+
+    physics = Physics(Specimen.of(seed=7, hidden="backlash"), trial=0)
+    physics.place(Scene(slope_roll=0.2), np.zeros(18))
+    physics.send(np.full(18, 0.1), duration=0.2)
+    physics.advance_to(physics.time + 0.5)
+    sample = physics.read()
+"""
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from tcbi_bringup.emulated_robot import character as characters
+from tcbi_bringup.emulated_robot import drawing as drawings
+from tcbi_bringup.emulated_robot import hidden_effects, mechanics
+from tcbi_bringup.emulated_robot.character import Character
+from tcbi_bringup.emulated_robot.mechanics import Build, Scene
+from tcbi_bringup.emulated_robot.sensors import Encoders, FootSwitches, Imu
+from tcbi_bringup.emulated_robot.servos import LOOP_PERIOD_S, STEP, Move, Servos
+
+SUBSTEPS = round(LOOP_PERIOD_S / mechanics.STEP_S)
+DROP_HEIGHT = 0.001  # m between the lowest foot and the ground when the robot is let go
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """Which robot this is: its plain parameters and what is hidden in it."""
+
+    seed: int
+    hidden: str
+    strength: str
+    character: Character
+
+    @staticmethod
+    def of(seed: int, hidden: str | None = None, strength: str | None = None) -> "Specimen":
+        """Robot number `seed`; its hidden effect is drawn from the seed unless it is named.
+
+        Raises:
+          EmulatedRobotError: an unknown effect or strength, or a negative seed.
+        """
+        character = characters.draw(seed)
+        name, strength, _ = hidden_effects.choose(hidden, strength, seed)
+        return Specimen(seed, name, strength, character)
+
+    def truth(self) -> dict[str, object]:
+        """What nobody but the judge should see: parameters, the hidden effect and its size."""
+        effect = hidden_effects.choose(self.hidden, self.strength, self.seed)[2]
+        c = self.character
+        values = {"friction": c.friction, "mass": c.mass, "gain": c.gain}
+        return {"seed": self.seed, "hidden": self.hidden, "strength": self.strength, **values, "effect": effect.truth}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What the sensors say at one instant.
+
+    Attributes:
+      time: s on the robot's clock.
+      joint_position: (18,) rad.
+      attitude: (4,) base in world, w x y z.
+      angular_velocity: (3,) rad/s in `imu_link`.
+      linear_acceleration: (3,) m/s^2 with gravity in `imu_link`.
+      contact: (6,) bool.
+      load: (18,) share of the servos' full torque.
+    """
+
+    time: float
+    joint_position: np.ndarray
+    attitude: np.ndarray
+    angular_velocity: np.ndarray
+    linear_acceleration: np.ndarray
+    contact: np.ndarray
+    load: np.ndarray
+
+
+class Physics:
+    """A specimen in motion.
+
+    Args:
+      specimen: which robot.
+      trial: 0 or more; repeats with other numbers differ in noise and jitter alone.
+    """
+
+    def __init__(self, specimen: Specimen, trial: int = 0):
+        self.specimen = specimen
+        self._drawing = drawings.load()
+        character, drawing = specimen.character, self._drawing
+        self._effect = hidden_effects.choose(specimen.hidden, specimen.strength, specimen.seed)[2]
+        self._build = Build(drawing.damping, drawing.armature, [])
+        self._effect.attach(self._build, drawing)
+        self._resists = type(self._effect).resist is not hidden_effects.HiddenEffect.resist
+        limit = np.full(characters.JOINT_COUNT, drawing.torque_limit)
+        self.servos = Servos(character.gain * character.gain_factor, limit, drawing.speed_limit)
+        streams = [np.random.default_rng([specimen.seed, 3, trial, part]) for part in range(4)]
+        self._bus, imu, encoders, switches = streams
+        self._encoders = Encoders(encoders)
+        self._imu = Imu(np.random.default_rng([specimen.seed, 4]), imu, LOOP_PERIOD_S)
+        self._switches = FootSwitches(drawing.foot_threshold * character.switch_factor, switches, LOOP_PERIOD_S)
+        self._clock = 0  # ticks since the robot was switched on
+        self._torque = np.zeros(characters.JOINT_COUNT)
+        self._encoder = np.zeros(characters.JOINT_COUNT)
+        self._build_on(Scene())
+        self.place(Scene(), np.zeros(characters.JOINT_COUNT))
+
+    @property
+    def time(self) -> float:
+        """s on the robot's clock."""
+        return self._clock * LOOP_PERIOD_S
+
+    @property
+    def shaft(self) -> np.ndarray:
+        """(18,) rad, where the encoders' magnets truly stand."""
+        gear = self._effect.gear
+        return self._angles if gear is None else gear.position
+
+    def place(self, scene: Scene, joint_position: np.ndarray | None = None) -> None:
+        """Set up the ground and put the robot down on it at rest, with its middle over the origin.
+
+        Args:
+          scene: ground and heading.
+          joint_position: (18,) rad that the servos then hold; None leaves the joints and the servos as they are.
+        """
+        if joint_position is None:
+            angles, shaft = self._angles.copy(), self.shaft.copy()
+        else:
+            angles = shaft = np.array(joint_position, float)
+        self._build_on(scene)
+        self._angles[:] = angles
+        self._stand_on_the_ground(scene.yaw)
+        self._effect.reset(angles)
+        if self._effect.gear is not None:
+            self._effect.gear.reset(shaft)
+        if joint_position is not None:
+            self.servos.reset(joint_position)
+        self._encoder = np.rint(self.shaft / STEP) * STEP
+        self._imu.reset(self.true_attitude(), self._motion[3:])
+        self._switches.reset()
+
+    def send(self, goals: np.ndarray, duration: float, speed: float = 0.0) -> None:
+        """Send goals (18,) rad to all servos in one packet; each ramps to its own within `duration` (s)."""
+        self.send_each([(i, float(goal)) for i, goal in enumerate(goals)], duration, speed)
+
+    def send_each(self, goals: list[tuple[int, float]], duration: float, speed: float = 0.0) -> None:
+        """Send goals (servo, rad) in one packet."""
+        due = self.time + self._effect.bus_delay(self._bus)
+        for index, goal in goals:
+            self.servos.send(Move(due, index, goal, duration, speed))
+
+    def switch(self, index: int, on: bool) -> None:
+        """Torque of one servo on or off."""
+        self.servos.switch(index, on, float(self.shaft[index]))
+
+    def advance_to(self, time: float) -> None:
+        """Move on to `time` (s), in whole turns of the servos' loops."""
+        target = round(time / LOOP_PERIOD_S)
+        while self._clock < target:
+            self._tick()
+
+    def read(self) -> Sample:
+        """The sensors, now."""
+        attitude, gyro, acceleration = self._imu.read()
+        return Sample(
+            time=self.time,
+            joint_position=self._encoders.read(self.shaft),
+            attitude=attitude,
+            angular_velocity=gyro,
+            linear_acceleration=acceleration,
+            contact=self._switches.read(self.time),
+            load=np.clip(self._torque / self.servos.torque_limit, -1.0, 1.0),
+        )
+
+    def true_position(self) -> np.ndarray:
+        """(3,) m, the origin of `base_link` in the world."""
+        position = np.zeros(3)
+        mujoco.mju_rotVecQuat(position, self.data.qpos[:3], ground_attitude(self.scene))
+        return position
+
+    def true_attitude(self) -> np.ndarray:
+        """(4,) w x y z, `base_link` in the world."""
+        attitude = np.zeros(4)
+        mujoco.mju_mulQuat(attitude, ground_attitude(self.scene), self.data.qpos[3:7])
+        return attitude
+
+    def _build_on(self, scene: Scene) -> None:
+        """Compile robot and ground, and take views of the state that the loop works on."""
+        self.scene = scene
+        self.model = mechanics.compile_model(self._drawing, self.specimen.character, self._build, scene)
+        self.data = mujoco.MjData(self.model)
+        self._angles, self._speeds = self.data.qpos[7:], self.data.qvel[6:]
+        self._force = self.data.qfrc_applied[6:]
+        self._motion, self._feet = self.data.sensordata[:6], self.data.sensordata[6:]
+
+    def _tick(self) -> None:
+        encoder, effect = self._encoder, self._effect
+        np.divide(self.shaft, STEP, out=encoder)
+        np.rint(encoder, out=encoder)
+        np.multiply(encoder, STEP, out=encoder)
+        torque = effect.drive(self.servos.torque(self.time, encoder))
+        self._torque = torque
+        if effect.gear is not None:
+            torque = effect.gear.push(torque, self._angles, self._speeds, LOOP_PERIOD_S)
+        if self._resists:
+            torque = torque + effect.resist(self._speeds, LOOP_PERIOD_S)
+        self._force[:] = torque
+        mujoco.mj_step(self.model, self.data, SUBSTEPS)
+        self._clock += 1
+        self._imu.tick(self._motion)
+        self._switches.tick(self._feet, self.time)
+
+    def _stand_on_the_ground(self, yaw: float) -> None:
+        """Lift the robot until nothing touches, then lower it until its lowest part is a hair above what lies below."""
+        data, model = self.data, self.model
+        data.qpos[3:7] = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+        low, high = 0.0, 1.0
+        while high - low > DROP_HEIGHT / 4:
+            data.qpos[2] = (low + high) / 2
+            mujoco.mj_forward(model, data)
+            if any(1 in (model.geom_contype[c.geom[0]], model.geom_contype[c.geom[1]]) for c in data.contact):
+                low = data.qpos[2]
+            else:
+                high = data.qpos[2]
+        data.qpos[2] = high + DROP_HEIGHT
+        mujoco.mj_forward(model, data)
+
+
+def ground_attitude(scene: Scene) -> np.ndarray:
+    """(4,) w x y z of Ry(pitch) Rx(roll), the ground in the world."""
+    r, p = scene.slope_roll / 2, scene.slope_pitch / 2
+    return np.array(
+        [
+            math.cos(r) * math.cos(p),
+            math.sin(r) * math.cos(p),
+            math.cos(r) * math.sin(p),
+            -math.sin(r) * math.sin(p),
+        ]
+    )
