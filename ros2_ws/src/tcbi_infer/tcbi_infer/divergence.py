@@ -1,0 +1,150 @@
+"""How far two distributions are apart: small functions, registered by name.
+
+Every registered function takes samples, `(n,)` of the real robot and `(N, m)` of N simulations, and returns `(N,)`
+values that are zero for equal distributions. NaN marks a sample that was not measured. `js` and `wasserstein` also
+exist on histograms (`js_binned`, `wasserstein_binned`), which is what the weights are computed from: counts of several
+rollouts can be added, so that any subset of rollouts can be judged without going back to the samples.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tcbi_infer.errors import InferError
+
+BINS = 20
+LOG2 = float(np.log(2.0))  # the largest Jensen-Shannon divergence, in nats
+
+Divergence = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Binning:
+    """Equal bins over the real data's range, and one tail bin on either side for what the robot never did."""
+
+    low: float
+    high: float
+    bins: int = BINS
+
+    @classmethod
+    def of(cls, real: np.ndarray, bins: int = BINS) -> "Binning":
+        """Bins shared by the robot and every simulation, from the range of the real samples."""
+        finite = real[np.isfinite(real)]
+        if finite.size == 0:
+            raise InferError("a statistic has no finite sample in the real rollouts; leave it out")
+        low, high = float(finite.min()), float(finite.max())
+        margin = 1e-9 * max(abs(low), abs(high), 1e-3)  # a constant statistic still gets bins
+        return cls(low - margin, high + margin, bins)
+
+    def index(self, samples: np.ndarray) -> np.ndarray:
+        """Bin of each sample; NaN goes to bin `bins`, which `counts` drops."""
+        inner = self.bins - 2
+        with np.errstate(invalid="ignore"):
+            position = np.floor((samples - self.low) * (inner / (self.high - self.low))) + 1
+        position = np.clip(np.nan_to_num(position, nan=self.bins), 0, self.bins)
+        position[np.isfinite(samples)] = np.minimum(position[np.isfinite(samples)], self.bins - 1)
+        return position.astype(np.int64)
+
+    def counts(self, samples: np.ndarray) -> np.ndarray:
+        """(..., n) samples -> (..., bins) counts; infinite samples fall in the tails, NaN nowhere."""
+        lead = samples.shape[:-1]
+        infinite = np.isinf(samples)
+        if infinite.any():
+            samples = np.where(infinite, np.copysign(np.finfo(float).max, samples), samples)
+        rows = int(np.prod(lead, dtype=np.int64))
+        flat = self.index(samples.reshape(rows, samples.shape[-1]))
+        offset = np.arange(rows)[:, None] * (self.bins + 1)
+        total = np.bincount((flat + offset).ravel(), minlength=rows * (self.bins + 1))
+        return total.reshape(*lead, self.bins + 1)[..., :-1]
+
+
+def _entropy(p: np.ndarray) -> np.ndarray:
+    return -np.sum(p * np.log(np.where(p > 0, p, 1)), axis=-1)
+
+
+def normalised(counts: np.ndarray) -> np.ndarray:
+    """(..., B) counts -> probabilities; all zero where there is no count."""
+    total = counts.sum(axis=-1, keepdims=True)
+    return counts / np.where(total > 0, total, 1)
+
+
+def js_binned(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """Jensen-Shannon divergence (equation 13, nats, not its root) of (..., B) counts.
+
+    Where one side has no sample at all the divergence is its largest value, log 2.
+    """
+    p, q = normalised(real), normalised(simulated)
+    empty = (p.sum(axis=-1) == 0) | (q.sum(axis=-1) == 0)
+    value = _entropy(0.5 * (p + q)) - 0.5 * (_entropy(p) + _entropy(q))
+    return np.where(empty, LOG2, np.maximum(value, 0.0))
+
+
+def wasserstein_binned(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """First Wasserstein distance of (..., B) counts, in shares of the real data's range; tails count as one bin."""
+    gap = np.cumsum(normalised(real) - normalised(simulated), axis=-1)
+    return np.abs(gap).sum(axis=-1) / (real.shape[-1] - 2)
+
+
+def js(real: np.ndarray, simulated: np.ndarray, bins: int = BINS) -> np.ndarray:
+    """Jensen-Shannon divergence by a histogram whose bins come from the real data (nats)."""
+    binning = Binning.of(real, bins)
+    return js_binned(binning.counts(real), binning.counts(simulated))
+
+
+def js_nearest(real: np.ndarray, simulated: np.ndarray, k: int = 10) -> np.ndarray:
+    """Jensen-Shannon divergence by nearest neighbours: the information that a sample holds about its origin.
+
+    Draws as many samples of either side (evenly spaced ones, so nothing is random) and estimates the posterior of the
+    origin from the `k` nearest of the pooled samples. Between 0 and log 2, without bins, slower than `js`.
+    """
+    real = np.sort(real[np.isfinite(real)])
+    values = np.empty(len(simulated))
+    for i, row in enumerate(simulated):
+        row = np.sort(row[np.isfinite(row)])
+        n = min(len(real), len(row))
+        values[i] = _js_nearest_pair(_spread(real, n), _spread(row, n), min(k, n - 1)) if n > 1 else LOG2
+    return values
+
+
+def _spread(values: np.ndarray, n: int) -> np.ndarray:
+    return values[np.linspace(0, len(values) - 1, n).round().astype(int)]
+
+
+def _js_nearest_pair(a: np.ndarray, b: np.ndarray, k: int) -> float:
+    pooled = np.concatenate([a, b])[:, None]
+    origin = np.repeat([0.0, 1.0], len(a))
+    _, near = cKDTree(pooled).query(pooled, k=k + 1)
+    share = np.clip(origin[near[:, 1:]].mean(axis=1), 1e-12, 1 - 1e-12)
+    entropy = -np.mean(share * np.log(share) + (1 - share) * np.log(1 - share))
+    return float(np.clip(LOG2 - entropy, 0.0, LOG2))
+
+
+def wasserstein(real: np.ndarray, simulated: np.ndarray, points: int = 200) -> np.ndarray:
+    """First Wasserstein distance, in shares of the real samples' range (so that statistics can be added)."""
+    finite = real[np.isfinite(real)]
+    levels = (np.arange(points) + 0.5) / points
+    span = max(float(np.ptp(finite)), 1e-9 * max(abs(float(finite.max())), 1e-3))
+    quantiles = np.array(
+        [np.quantile(r, levels) if r.size else np.full(points, np.inf) for r in map(_finite, simulated)]
+    )
+    return np.abs(quantiles - np.quantile(finite, levels)).mean(axis=1) / span
+
+
+def _finite(row: np.ndarray) -> np.ndarray:
+    return row[np.isfinite(row)]
+
+
+DIVERGENCES: dict[str, Divergence] = {"js": js, "js_nearest": js_nearest, "wasserstein": wasserstein}
+
+
+def divergence(name: str) -> Divergence:
+    """The registered divergence of that name.
+
+    Raises:
+      InferError: there is none.
+    """
+    if name not in DIVERGENCES:
+        raise InferError(f"unknown divergence {name!r}; known are {', '.join(DIVERGENCES)}")
+    return DIVERGENCES[name]

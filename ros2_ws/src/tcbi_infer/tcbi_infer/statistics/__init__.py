@@ -1,0 +1,54 @@
+"""Task statistics: rollouts -> samples. One file each; every file of this folder with a `STATISTIC` is registered.
+
+names = select(("reward", "attitude"), arrays)     # what these rollouts have, and what they lack
+samples = library()["attitude"].compute(arrays)    # (N, S, C, K)
+"""
+
+import importlib
+import pkgutil
+from functools import cache
+
+from tcbi_infer.errors import InferError
+from tcbi_infer.statistics.base import RolloutArrays, Statistic, from_measurements, padded_commands
+
+PAPER = ("reward", "attitude", "contact_ratio")
+CALIBRATED = (*PAPER, "joint_tracking", "early_response", "body_rates")
+
+__all__ = [
+    "CALIBRATED",
+    "PAPER",
+    "RolloutArrays",
+    "Statistic",
+    "from_measurements",
+    "library",
+    "padded_commands",
+    "select",
+]
+
+
+@cache
+def library() -> dict[str, Statistic]:
+    """Every statistic by name."""
+    found: dict[str, Statistic] = {}
+    for info in pkgutil.iter_modules(__path__):
+        statistic = getattr(importlib.import_module(f"{__name__}.{info.name}"), "STATISTIC", None)
+        if statistic is not None:
+            found[statistic.name] = statistic
+    return found
+
+
+def select(names: tuple[str, ...], arrays: RolloutArrays) -> tuple[tuple[Statistic, ...], tuple[str, ...]]:
+    """The named statistics that these rollouts allow, and a line for each that they do not.
+
+    Raises:
+      InferError: a name is unknown, or nothing is left.
+    """
+    unknown = [name for name in names if name not in library()]
+    if unknown:
+        raise InferError(f"unknown statistic {', '.join(unknown)}; known are {', '.join(sorted(library()))}")
+    reasons = {name: library()[name].missing(arrays) for name in names}
+    kept = tuple(library()[name] for name in names if not reasons[name])
+    left_out = tuple(f"statistic {name} left out: the rollouts have {why}" for name, why in reasons.items() if why)
+    if not kept:
+        raise InferError("no statistic can be computed from these rollouts: " + "; ".join(left_out))
+    return kept, left_out

@@ -1,0 +1,139 @@
+"""What a statistic sees (`RolloutArrays`) and what it is (`Statistic`).
+
+Measured and simulated rollouts come as the same arrays on the same grid, so that one function serves both and a
+difference between its results can only come from the physics.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tcbi_sim.measurement import Measurement, Scenario, roll_pitch_yaw
+
+
+@dataclass(frozen=True)
+class RolloutArrays:
+    """N x S rollouts on one grid of T times; what was not measured is None. Measured data has N = 1."""
+
+    time: np.ndarray  # (T,) s since BEGIN
+    joint_position: np.ndarray  # (N, S, T, J) rad
+    command_time: np.ndarray  # (S, K) s, NaN after a rollout's last command
+    command_target: np.ndarray  # (N, S, K, J) rad
+    command_ramp: float  # s
+    scenarios: tuple[Scenario, ...]  # S
+    joint_names: tuple[str, ...]
+    foot_names: tuple[str, ...]
+    attitude: np.ndarray | None = None  # (N, S, T, 4) w x y z
+    angular_velocity: np.ndarray | None = None  # (N, S, T, 3) rad/s
+    contact: np.ndarray | None = None  # (N, S, T, F) bool
+    position: np.ndarray | None = None  # (N, S, T, 3) m
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """(N, S)."""
+        return self.joint_position.shape[:2]
+
+    @cached_property
+    def roll_pitch(self) -> np.ndarray:
+        """(N, S, T, 2) rad."""
+        assert self.attitude is not None
+        return roll_pitch_yaw(self.attitude)[..., :2]
+
+    @cached_property
+    def latest_command(self) -> np.ndarray:
+        """(S, T) index of the command in force at each time, -1 before the first."""
+        return np.stack(
+            [np.searchsorted(row[np.isfinite(row)], self.time + 1e-9, "right") - 1 for row in self.command_time]
+        )
+
+    @cached_property
+    def reference(self) -> np.ndarray:
+        """(N, S, T, J) rad: the commanded ramp, NaN before the first command."""
+        index = self.latest_command
+        given = np.maximum(index, 0)
+        n, s, t, j = self.joint_position.shape
+        before = np.concatenate([self.joint_position[:, :, :1], self.command_target[:, :, :-1]], axis=2)
+        rollout = np.arange(s)[:, None]
+        start, target = before[:, rollout, given], self.command_target[:, rollout, given]
+        elapsed = self.time - np.take_along_axis(self.command_time, given, axis=1)
+        share = np.ones((s, t)) if self.command_ramp <= 0 else np.clip(elapsed / self.command_ramp, 0, 1)
+        share = np.where(index < 0, np.nan, share)
+        return start + (target - start) * share[None, :, :, None]
+
+    def at(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """(N, S, T, J) values at (S, K) times -> (N, S, K, J), linear between samples, NaN outside the grid."""
+        inside = np.isfinite(time) & (time >= self.time[0] - 1e-9) & (time <= self.time[-1] + 1e-9)
+        t = np.where(inside, time, self.time[0])
+        left = np.clip(np.searchsorted(self.time, t, "right") - 1, 0, len(self.time) - 2)
+        share = (t - self.time[left]) / (self.time[left + 1] - self.time[left])
+        share = np.where(inside, share, np.nan)[None, :, :, None]
+        rollout = np.arange(time.shape[0])[:, None]
+        return values[:, rollout, left] * (1 - share) + values[:, rollout, left + 1] * share
+
+
+def nothing_more(arrays: RolloutArrays) -> str:
+    """The check of a statistic that needs only the signals it names."""
+    return ""
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """Rollouts -> samples of something that the task's performance depends on.
+
+    `compute` returns `(N, S, C, K)`: K samples in order of time for each of C channels; NaN where there is none.
+    """
+
+    name: str
+    unit: str
+    description: str
+    needs: tuple[str, ...]  # fields of RolloutArrays that may be None
+    channels: Callable[[RolloutArrays], tuple[str, ...]]
+    compute: Callable[[RolloutArrays], np.ndarray]
+    lacks: Callable[[RolloutArrays], str] = nothing_more  # "" or what else is missing
+
+    def missing(self, arrays: RolloutArrays) -> str:
+        """ "" if these rollouts have all that the statistic needs, else what they lack."""
+        absent = [name.replace("_", " ") for name in self.needs if getattr(arrays, name) is None]
+        return f"no {' and no '.join(absent)}" if absent else self.lacks(arrays)
+
+
+def from_measurements(measurements: Sequence[Measurement], time: np.ndarray) -> RolloutArrays:
+    """S measurements of one rig on the grid `time`, as arrays with N = 1."""
+    resampled = [m.resampled(time) for m in measurements]
+    first = measurements[0]
+
+    def stacked(field: str) -> np.ndarray | None:
+        values = [getattr(m, field) for m in resampled]
+        return None if any(v is None for v in values) else np.stack(values)[None]
+
+    command_time, command_target = padded_commands([(m.commands.time, m.commands.target) for m in measurements])
+    joint_position = stacked("joint_position")
+    assert joint_position is not None
+    return RolloutArrays(
+        time=time,
+        joint_position=joint_position,
+        command_time=command_time,
+        command_target=command_target[None],
+        command_ramp=first.commands.ramp,
+        scenarios=tuple(m.scenario for m in measurements),
+        joint_names=first.joint_names,
+        foot_names=first.foot_names,
+        attitude=stacked("attitude"),
+        angular_velocity=stacked("angular_velocity"),
+        contact=stacked("contact"),
+        position=stacked("position"),
+    )
+
+
+def padded_commands(commands: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """S pairs of (K,) times and (K, J) targets -> (S, K), (S, K, J); NaN times and repeated targets fill up."""
+    longest = max(len(time) for time, _ in commands)
+    times = np.full((len(commands), longest), np.nan)
+    targets = np.empty((len(commands), longest, commands[0][1].shape[1]))
+    for s, (time, target) in enumerate(commands):
+        times[s, : len(time)] = time
+        targets[s, : len(time)] = target
+        targets[s, len(time) :] = target[-1] if len(time) else 0.0
+    return times, targets

@@ -1,0 +1,158 @@
+"""Calibrated TCBI, the default: population Monte Carlo with honest weights.
+
+Differs from `paper` in that
+
+- a particle's weight is prior x pseudo-likelihood / proposal, the proposal being the mixture of all that were ever used
+  (deterministic-mixture weights), so every simulation ever run counts and iterating does not narrow the posterior;
+- alpha is not a constant: it rises as the effective sample size allows, up to the value that the data support
+  (`calibration`);
+- particles live in probit space, so the flat prior's bounds are kept without reflection (`proposal`).
+
+    state = init(dimensions, settings)
+    while not finished(state, settings):
+        state, info = step(rng, state, simulate, observed, settings)
+    unit, log_weights = posterior(state)
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi import calibration
+from tcbi_infer.tcbi.features import Features, Observed, divergences
+from tcbi_infer.tcbi.proposal import (
+    Proposal,
+    draw,
+    from_probit,
+    kernel_proposal,
+    log_mixture,
+    log_prior,
+    prior_proposal,
+)
+from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, temper
+
+
+class CalibratedSettings(NamedTuple):
+    """Budget and shape of the search."""
+
+    particles: int = 50  # simulated in each generation
+    generations: int = 6
+    prior_share: float = 0.1  # of each later generation, drawn from the prior
+    least_ess: float = 0.5  # of `particles`: alpha rises no further than this allows
+
+
+class CalibratedState(NamedTuple):
+    """Every simulation ever run, and its weight now."""
+
+    generation: int
+    z: np.ndarray  # (M, P) probit space
+    features: Features  # of M particles
+    proposals: tuple[Proposal, ...]  # one a generation
+    log_weights: np.ndarray  # (M,)
+    alpha: float
+    alpha_supported: float  # by the data, as far as the simulations so far can tell
+    converged: bool
+
+
+class CalibratedInfo(NamedTuple):
+    """What happened in a generation."""
+
+    divergence: np.ndarray  # (statistics,) weighted mean over particles
+    ess: float
+    alpha: float
+    alpha_supported: float
+    floor_noise: np.ndarray  # (statistics,) mean over channels
+    floor_misfit: np.ndarray  # (statistics,)
+
+
+def init(dimensions: int) -> CalibratedState:
+    """Nothing simulated yet."""
+    features = Features(np.zeros((0, 1, 1, 1), np.float32), np.zeros((0, 1)), np.zeros(0), np.zeros(0, bool))
+    return CalibratedState(0, np.zeros((0, dimensions)), features, (), np.zeros(0), 0.0, 0.0, False)
+
+
+def step(
+    rng: np.random.Generator,
+    state: CalibratedState,
+    simulate: Callable[[np.ndarray], Features],
+    observed: Observed,
+    settings: CalibratedSettings,
+) -> tuple[CalibratedState, CalibratedInfo]:
+    """Propose, simulate, weigh everything anew.
+
+    Args:
+      rng: the randomness of this generation.
+      state: after the previous generation.
+      simulate: (N, P) in [0, 1] -> features.
+      observed: the real rollouts.
+      settings: budget.
+
+    Raises:
+      InferError: every simulation diverged.
+    """
+    if state.generation == 0:
+        proposal = prior_proposal(settings.particles, state.z.shape[1])
+    else:
+        proposal = kernel_proposal(settings.particles, state.z, normalised(state.log_weights), settings.prior_share)
+    fresh = draw(rng, proposal)
+    simulated = simulate(from_probit(fresh))
+    features = simulated if state.generation == 0 else state.features.join(simulated)
+    z, proposals = np.concatenate([state.z, fresh]), (*state.proposals, proposal)
+    if not features.valid.any():
+        raise InferError(
+            f"all {len(z)} simulations diverged: the model is unstable over its whole prior; "
+            "narrow the parameters' bounds or lower the time step"
+        )
+    return _weigh(rng, state, z, features, proposals, observed, settings)
+
+
+def _weigh(
+    rng: np.random.Generator,
+    before: CalibratedState,
+    z: np.ndarray,
+    features: Features,
+    proposals: tuple[Proposal, ...],
+    observed: Observed,
+    settings: CalibratedSettings,
+) -> tuple[CalibratedState, CalibratedInfo]:
+    log_base = np.where(features.valid, log_prior(z) - log_mixture(proposals, z), -np.inf)
+    divergence = divergences(observed.counts, features.counts)
+    floors = calibration.floors(observed, features.counts, divergence, features.valid)
+    energy = calibration.energy(observed, divergence, floors.total)
+    energy -= energy[features.valid].min()
+    supported = calibration.calibrate(rng, observed, features.counts, floors.total, z, log_base, energy)
+    alpha = temper(energy, log_base, supported, settings.least_ess * settings.particles)
+    log_weights = log_base - alpha * energy
+    weights = normalised(log_weights)
+    info = CalibratedInfo(
+        divergence=weights @ observed.by_statistic(divergence),
+        ess=effective_sample_size(weights),
+        alpha=alpha,
+        alpha_supported=supported,
+        floor_noise=observed.by_statistic(floors.noise),
+        floor_misfit=observed.by_statistic(floors.misfit),
+    )
+    converged = before.generation >= 2 and alpha >= 0.99 * supported and _steady(before, z, weights)
+    state = CalibratedState(
+        before.generation + 1, z, features, proposals, log_weights, alpha, supported, bool(converged)
+    )
+    return state, info
+
+
+def _steady(before: CalibratedState, z: np.ndarray, weights: np.ndarray) -> bool:
+    """Whether the posterior mean moved by less than a quarter of its standard deviation."""
+    mean, variance = mean_and_variance(z, weights)
+    last, _ = mean_and_variance(before.z, normalised(before.log_weights))
+    return bool(np.all(np.abs(mean - last) <= 0.25 * np.sqrt(variance)))
+
+
+def finished(state: CalibratedState, settings: CalibratedSettings) -> bool:
+    """Enough, or the budget is spent."""
+    return state.converged or state.generation >= settings.generations
+
+
+def posterior(state: CalibratedState) -> tuple[np.ndarray, np.ndarray]:
+    """(M, P) particles in [0, 1] and (M,) log-weights."""
+    return from_probit(state.z), state.log_weights

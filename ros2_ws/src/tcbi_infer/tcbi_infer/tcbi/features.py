@@ -1,0 +1,78 @@
+"""What inference keeps of a simulation: histograms of its statistics, rollout by rollout.
+
+Counts of several rollouts add, so the divergence of any subset or bootstrap sample of rollouts is known without
+simulating again; the trajectories themselves are dropped. M particles, U units (rollouts, or blocks of rollouts where
+there are few), C channels of all statistics in a row, B bins.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tcbi_infer.divergence import Binning, js_binned
+from tcbi_infer.errors import InferError
+from tcbi_infer.statistics import RolloutArrays, Statistic
+
+
+class Features(NamedTuple):
+    """Simulated rollouts of M particles."""
+
+    counts: np.ndarray  # (M, U, C, B) float32
+    divergence: np.ndarray  # (M, C) of all rollouts together, by the divergence that was chosen
+    reward: np.ndarray  # (M,) mean reward per control step; NaN where the task has none
+    valid: np.ndarray  # (M,) bool, False where the simulation diverged
+
+    def join(self, other: "Features") -> "Features":
+        """Both sets of particles, these first."""
+        return Features(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
+class Observed(NamedTuple):
+    """The real rollouts, in the same bins."""
+
+    counts: np.ndarray  # (U, C, B) float32
+    statistic: np.ndarray  # (C,) index into `statistics`
+    statistics: tuple[str, ...]
+    channels: tuple[str, ...]  # C names, statistic/channel
+
+    def by_statistic(self, values: np.ndarray) -> np.ndarray:
+        """(..., C) -> (..., statistics): the mean over each statistic's channels."""
+        parts = [values[..., self.statistic == i].mean(axis=-1) for i in range(len(self.statistics))]
+        return np.stack(parts, axis=-1)
+
+
+def samples(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
+    """(N, S, C, K) samples, checked.
+
+    Raises:
+      InferError: the statistic is infinite, or its shape is not what it promised.
+    """
+    values = statistic.compute(arrays)
+    expected = (*arrays.count, len(statistic.channels(arrays)))
+    if values.ndim != 4 or values.shape[:3] != expected:
+        raise InferError(f"statistic {statistic.name} gave shape {values.shape}, must be {expected} and its samples")
+    return values
+
+
+def binned(values: np.ndarray, binnings: list[Binning], blocks: int) -> np.ndarray:
+    """(N, S, C, K) samples -> (N, S * blocks, C, B) float32 counts; a block is a stretch of a rollout's samples."""
+    n, s, c, _ = values.shape
+    counts = np.empty((n, s, blocks, c, binnings[0].bins), np.float32)
+    for b, part in enumerate(np.array_split(values, blocks, axis=-1)):
+        for i, binning in enumerate(binnings):
+            counts[:, :, b, i] = binning.counts(part[:, :, i])
+    return counts.reshape(n, s * blocks, c, -1)
+
+
+def divergences(real: np.ndarray, simulated: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+    """Jensen-Shannon divergence (M, C) of pooled counts.
+
+    Args:
+      real: (U, C, B).
+      simulated: (M, U, C, B).
+      weights: (U,) how often each unit counts; all once by default.
+    """
+    if weights is None:
+        return js_binned(real.sum(axis=0), simulated.sum(axis=1))
+    w = weights.astype(np.float32)
+    return js_binned(np.tensordot(w, real, axes=1), np.tensordot(w, simulated, axes=(0, 1)))

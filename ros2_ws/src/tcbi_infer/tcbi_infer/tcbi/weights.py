@@ -1,0 +1,61 @@
+"""Weighted particles: normalising, effective sample size, moments, quantiles."""
+
+import numpy as np
+from scipy.special import logsumexp
+
+
+def normalised(log_weights: np.ndarray) -> np.ndarray:
+    """(M,) log-weights -> weights that sum to one; all zero weights become zero, not NaN."""
+    total = logsumexp(log_weights) if len(log_weights) else -np.inf
+    return np.exp(log_weights - total) if np.isfinite(total) else np.zeros(len(log_weights))
+
+
+def effective_sample_size(weights: np.ndarray) -> float:
+    """Of (M,) normalised weights: 1 / sum w^2 (Algorithm 1, line 11)."""
+    square = float(np.sum(weights**2))
+    return 1.0 / square if square > 0 else 0.0
+
+
+def mean_and_variance(values: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(M, P) values, (M,) normalised weights -> (P,), (P,)."""
+    mean = weights @ values
+    return mean, weights @ (values - mean) ** 2
+
+
+def quantiles(values: np.ndarray, weights: np.ndarray, levels: np.ndarray | list[float]) -> np.ndarray:
+    """Weighted quantiles (len(levels), P) of (M, P) values."""
+    out = np.empty((len(levels), values.shape[1]))
+    for p in range(values.shape[1]):
+        order = np.argsort(values[:, p], kind="stable")
+        cumulative = np.cumsum(weights[order]) - 0.5 * weights[order]
+        out[:, p] = np.interp(levels, cumulative, values[order, p])
+    return out
+
+
+def resample(rng: np.random.Generator, weights: np.ndarray, size: int) -> np.ndarray:
+    """(size,) indices, drawn systematically: each particle is drawn its expected number of times, rounded."""
+    positions = (rng.random() + np.arange(size)) / size
+    return np.minimum(np.searchsorted(np.cumsum(weights) / weights.sum(), positions), len(weights) - 1)
+
+
+def temper(energy: np.ndarray, log_base: np.ndarray, alpha: float, least_ess: float) -> float:
+    """The largest inverse temperature up to `alpha` that leaves an effective sample size of `least_ess`.
+
+    Args:
+      energy: (M,) what the log-weights fall by per unit of alpha; inf weighs nothing.
+      log_base: (M,) log-weights at alpha = 0.
+      alpha: the value wanted.
+      least_ess: not more than what alpha = 0 has, else 0 is returned.
+    """
+
+    def ess(a: float) -> float:
+        with np.errstate(invalid="ignore"):
+            return effective_sample_size(normalised(np.where(np.isfinite(energy), log_base - a * energy, -np.inf)))
+
+    if ess(alpha) >= least_ess:
+        return alpha
+    low, high = 0.0, alpha
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if ess(middle) >= least_ess else (low, middle)
+    return low
