@@ -10,9 +10,9 @@ _LEAST_STEP_NS = 1_000
 class BoardClock:
     """Maps the board's clock onto the clock of this computer.
 
-    A frame arrives late by the link's delay, never early. So the smallest difference between arrival and the board's time
-    over the last ten seconds is the offset between the clocks, up to the least delay of the link; it follows the drift
-    between them. A stamp is never later than its arrival.
+    A frame arrives late by the link's delay, never early. So the smallest difference between arrival and the board's
+    time over the last ten seconds is the offset between the clocks, up to the least delay of the link; it follows the
+    drift between them. A stamp is never later than its arrival.
 
     A board that was restarted counts from zero again, and a computer's clock may be set: a difference that jumps by
     more than a quarter of a second down, or a board time that goes back, starts the mapping over. (Up it jumps for

@@ -69,7 +69,7 @@ class TimedMove:
     acceleration: int = 0
 
 
-def checksum(body: bytes) -> int:
+def checksum(body: bytes | bytearray) -> int:
     """Checksum of ID, LEN, CODE and parameters."""
     return ~sum(body) & 0xFF
 

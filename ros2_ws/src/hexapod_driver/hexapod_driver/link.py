@@ -10,6 +10,7 @@ A lost link makes the robot limp (the board's watchdog does it where this comput
 retried with a back-off from 0.25 to 5 s. Nothing here raises into the node's thread after `start`.
 """
 
+import contextlib
 import os
 import threading
 import time
@@ -236,13 +237,9 @@ class Link:
             self.state = "closed"
 
     def _wake(self) -> None:
-        try:
+        with contextlib.suppress(BlockingIOError):  # the pipe is full of wake-ups already
             os.write(self._wake_write, b"!")
-        except BlockingIOError:
-            pass  # full of wake-ups already
 
     def _drain_wake(self) -> None:
-        try:
+        with contextlib.suppress(BlockingIOError):
             os.read(self._wake_read, 4096)
-        except BlockingIOError:
-            pass

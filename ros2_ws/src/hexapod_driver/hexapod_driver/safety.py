@@ -108,8 +108,8 @@ def check_age(stamp_s: float, now_s: float, last_stamp_s: float) -> None:
     age = now_s - stamp_s
     if not -STALE_S <= age <= STALE_S:
         raise CommandRefused(
-            f"joint_commands: stamp is {age:.3f} s old, allowed is -{STALE_S} to {STALE_S} s; check the clocks, or whether a "
-            "recording is being played into the live topic"
+            f"joint_commands: stamp is {age:.3f} s old, allowed is -{STALE_S} to {STALE_S} s; check the clocks, or "
+            "whether a recording is being played into the live topic"
         )
     if stamp_s < last_stamp_s:
         raise CommandRefused(f"joint_commands: stamp {stamp_s:.3f} s is older than the last one, {last_stamp_s:.3f} s")
@@ -172,7 +172,8 @@ class Safety:
         self._check_mode(now, from_reset)
         if not SHORTEST_MOVE_S <= duration_s <= LONGEST_MOVE_S:
             raise CommandRefused(
-                f"joint_commands: time_from_start is {duration_s:.3f} s, allowed is {SHORTEST_MOVE_S} to {LONGEST_MOVE_S} s"
+                f"joint_commands: time_from_start is {duration_s:.3f} s, allowed is {SHORTEST_MOVE_S} to "
+                f"{LONGEST_MOVE_S} s"
             )
         arm = self.mode is Mode.LIMP
         if arm:

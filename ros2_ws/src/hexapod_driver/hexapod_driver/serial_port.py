@@ -15,11 +15,12 @@ WRITE_TIMEOUT_S = 0.1
 
 def _remedy(code: int | None, path: str) -> str:
     if code == errno.ENOENT:
-        return "port {path} does not exist; plug the robot in or bind its Bluetooth port, and look with `ls /dev/tty* /dev/rfcomm*`"
+        return "port {path} does not exist; plug the robot in, or bind its Bluetooth port with `rfcomm bind`"
     if code in (errno.EBUSY, errno.EAGAIN):
         return "port {path} is busy: another program holds it; `fuser {path}` names it"
     if code in (errno.EACCES, errno.EPERM):
-        return f"port {{path}}: no permission; join its group with `sudo usermod -aG {_group(path)} $USER` and log in again"
+        join = f"sudo usermod -aG {_group(path)} $USER"
+        return f"port {{path}}: no permission; join its group with `{join}` and log in again"
     if code in (errno.ENOTTY, errno.EINVAL, errno.EISDIR):
         return "port {path} is not a serial port"
     return "port {path} cannot be opened"

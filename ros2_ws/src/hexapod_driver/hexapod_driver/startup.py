@@ -26,8 +26,8 @@ def check(wire: Wire, calibration: Calibration) -> Identity:
     found = len(calibration.joints) - len(missing)
     names = ", ".join(f"{name} (id {calibration.joints[name].servo})" for name in missing)
     raise StartupError(
-        f"servos: expected {len(calibration.joints)}, found {found}; no answer from {names}; check power, cables and the ids in "
-        f"the calibration of {calibration.robot}"
+        f"servos: expected {len(calibration.joints)}, found {found}; no answer from {names}; check power, cables and "
+        f"the ids in the calibration of {calibration.robot}"
     )
 
 
@@ -55,8 +55,8 @@ def _identify(wire: Wire) -> Identity:
             raise StartupError(f"sensor board: {error}") from error
         if isinstance(wire, OneLink) and not identity.features & Feature.SERVO_BUS:
             raise StartupError(
-                f"sensor board {identity.name!r} does not carry the servo bus; give the board's port as sensor_port and the "
-                "servo bus as port"
+                f"sensor board {identity.name!r} does not carry the servo bus; give the board's port as sensor_port and "
+                "the servo bus as port"
             )
         return identity
     raise StartupError(_silence(wire))
@@ -68,7 +68,7 @@ def _silence(wire: Wire) -> str:
         return f"sensor board: speaks protocol version {seen}, allowed is {sensor_board.VERSION}; update its firmware"
     if wire.counters.bytes_read:
         return (
-            f"sensor board: {wire.counters.bytes_read} bytes came, none of them a frame of this robot; check that the port "
-            "belongs to the robot, and the baud rate"
+            f"sensor board: {wire.counters.bytes_read} bytes came, none of them a frame of this robot; check that the "
+            "port belongs to the robot, and the baud rate"
         )
     return "sensor board: no answer, not one byte; check that the robot is switched on, and the port"

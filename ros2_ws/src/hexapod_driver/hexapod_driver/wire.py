@@ -18,6 +18,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from typing import Any
 
 from hexapod_driver import sensor_board
 from hexapod_driver.clock import BoardClock
@@ -179,7 +180,8 @@ class Wire(ABC):
 
     def _select(self, ports: list[SerialPort], timeout_s: float) -> None:
         try:
-            select.select([*ports, *self._wake], [], [], max(0.0, timeout_s))
+            sources: list[Any] = [*ports, *self._wake]
+            select.select(sources, [], [], max(0.0, timeout_s))
         except (OSError, ValueError) as error:
             raise LinkLost(f"port {' or '.join(port.path for port in ports)} went away ({error})") from error
 
@@ -245,7 +247,8 @@ class OneLink(Wire):
 class TwoPorts(Wire):
     """The servo bus bare on one port, the board on another.
 
-    The bus is half duplex: one question at a time. What asks nothing (moves, torque) goes before the questions that wait.
+    The bus is half duplex: one question at a time. What asks nothing (moves, torque) goes before the questions that
+    wait.
     """
 
     reply_timeout_s = 0.025
