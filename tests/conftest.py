@@ -2,7 +2,7 @@
 
 @pytest.mark.graph
 def test_something(start_graph, peer):
-    graph = start_graph(NodeProcess("tcbi_sim", "sim_node", parameters={"lockstep": True}))
+    graph = start_graph(NodeProcess("tcbi_sim", "sim_node", parameters={"mode": "lockstep"}))
     got = peer.collect("joint_states", JointState, STREAM_QOS)
     peer.wait_until(lambda: len(got) >= 10, "ten joint states")
 """

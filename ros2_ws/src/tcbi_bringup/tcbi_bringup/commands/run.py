@@ -14,11 +14,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Two names and the rest."""
     parser.add_argument("package", nargs="?", help="e.g. tcbi_sim; without it, all packages and executables are listed")
     parser.add_argument("executable", nargs="?", help="e.g. sim_node; without it, those of the package are listed")
-    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="passed on, e.g. --ros-args -p lockstep:=true")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="passed on, e.g. --ros-args -p mode:=lockstep")
     console.add_examples(
         parser,
         "./tcbi run",
-        "./tcbi run tcbi_sim sim_node --ros-args -p lockstep:=true",
+        "./tcbi run tcbi_sim sim_node --ros-args -p mode:=lockstep",
         "./tcbi run hexapod_driver driver_node --ros-args -r __ns:=/left",
     )
 
