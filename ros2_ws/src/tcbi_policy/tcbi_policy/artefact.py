@@ -1,0 +1,192 @@
+"""Policies as files: `NAME.safetensors` holds the arrays, `NAME.json` the card. Nothing pickled is ever loaded.
+
+    save_policy(folder / "balance", mlp, card)
+    policy = load_policy(folder / "balance.safetensors")
+    policy.act(0.0, observation)                 # a Controller for the simulation, and what the policy node runs
+    find_policy("gait:stand")                    # or a file, a name in the store, or a shipped name
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from tcbi_policy.errors import PolicyDamaged, PolicyNotFound
+from tcbi_policy.gaits import GAITS, Gait
+from tcbi_policy.layout import HEXAPOD, Layout, check_fit
+from tcbi_policy.mlp import Mlp
+
+CARD_FORMAT = 1
+SHIPPED = Path(__file__).parent / "policies"
+GAIT_PREFIX = "gait:"
+
+
+class Actor(Protocol):
+    """What the policy node and the simulation run: a trained policy or a scripted gait."""
+
+    policy_id: str
+    needs_attitude: bool
+
+    def reset(self, count: int, rng: np.random.Generator | None = None) -> None:
+        """Start `count` rollouts."""
+
+    def act(self, time: float, observation: np.ndarray) -> np.ndarray:
+        """Joint targets (B, J) in rad at `time` (s since the start) for observations (B, J + 3) in rad."""
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a policy is, for people and for the check that it fits a robot."""
+
+    name: str
+    task: str
+    layout: Layout = HEXAPOD
+    model: str = ""  # the model version that it was trained on
+    posterior: dict[str, Any] = field(default_factory=dict)  # mean and standard deviation of each parameter drawn
+    training: dict[str, Any] = field(default_factory=dict)  # algorithm, configuration, seeds, steps, CPU seconds
+    curve: list[dict[str, float]] = field(default_factory=list)  # evaluations: steps, mean_return, ...
+    libraries: dict[str, str] = field(default_factory=dict)
+    parent: str = ""  # id of the policy that the training started from
+    created: str = ""  # UTC, ISO 8601
+    sha256: str = ""  # of the safetensors file
+
+    def to_json(self) -> str:
+        """The card as it lies on disk."""
+        return json.dumps({"format": CARD_FORMAT, **dataclasses.asdict(self)}, indent=1) + "\n"
+
+    @staticmethod
+    def from_json(text: str) -> "Card":
+        """Read a card.
+
+        Raises:
+          PolicyDamaged: it is not a card, of an unknown format, or lacks an entry.
+        """
+        try:
+            data = json.loads(text)
+            if data.pop("format") != CARD_FORMAT:
+                raise PolicyDamaged(f"card format is not {CARD_FORMAT}; it was written by another version of tcbi")
+            data["layout"] = Layout.from_json(data["layout"])
+            return Card(**data)
+        except (ValueError, KeyError, TypeError, AttributeError) as e:
+            raise PolicyDamaged(f"not a policy card: {e.__class__.__name__}: {e}") from e
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A trained policy: the network and its card."""
+
+    mlp: Mlp
+    card: Card
+    path: Path | None = None
+    needs_attitude: bool = True
+
+    @property
+    def policy_id(self) -> str:
+        """Name and short hash, unique for these weights."""
+        return f"{self.card.name}@{self.card.sha256[:8]}"
+
+    def reset(self, count: int, rng: np.random.Generator | None = None) -> None:
+        """The network has no state."""
+
+    def act(self, time: float, observation: np.ndarray) -> np.ndarray:
+        """Joint targets (B, J) in rad for observations (B, J + 3) in rad."""
+        return self.mlp(observation)
+
+
+def save_policy(stem: Path, mlp: Mlp, card: Card) -> Policy:
+    """Write `stem.safetensors` and `stem.json`, each to a temporary name that is then renamed."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    data = save(mlp.tensors())
+    card = dataclasses.replace(card, sha256=hashlib.sha256(data).hexdigest())
+    path = stem.with_name(stem.name + ".safetensors")
+    replace_file(path, data)
+    replace_file(stem.with_name(stem.name + ".json"), card.to_json().encode())
+    return Policy(Mlp.from_tensors(load(data), card.layout.limit), card, path)
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a file so that a reader sees the old content or the new one, never a part."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_policy(path: Path, robot: Layout = HEXAPOD) -> Policy:
+    """Read and check a policy.
+
+    Raises:
+      PolicyNotFound: the file or its card is missing.
+      PolicyDamaged: either cannot be read, or they do not belong together.
+      PolicyMisfit: it is for another robot.
+    """
+    card_path = path.with_suffix(".json")
+    for wanted in (path, card_path):
+        if not wanted.is_file():
+            raise PolicyNotFound(f"{wanted} does not exist; a policy is a .safetensors file with its .json card beside it")
+    data = path.read_bytes()
+    try:
+        card = Card.from_json(card_path.read_text())
+        if hashlib.sha256(data).hexdigest() != card.sha256:
+            raise PolicyDamaged("the weights are not those that the card describes; copy both files again")
+        check_fit(card.name, card.layout, robot)
+        policy = Policy(Mlp.from_tensors(load(data), card.layout.limit), card, path)
+        _check_shape(policy)
+    except (SafetensorError, UnicodeDecodeError, PolicyDamaged) as e:
+        raise PolicyDamaged(f"{path}: {e}") from e
+    return policy
+
+
+def _check_shape(policy: Policy) -> None:
+    layout, mlp = policy.card.layout, policy.mlp
+    seen = (len(mlp.observation_scale), len(mlp.biases[-1]))
+    expected = (len(layout.observation), len(layout.action))
+    if seen != expected:
+        raise PolicyDamaged(f"the network maps {seen[0]} values to {seen[1]}, its card says {expected[0]} to {expected[1]}")
+
+
+def find_policy(reference: str, store_root: Path | None = None, robot: Layout = HEXAPOD) -> Policy | Gait:
+    """The policy behind a reference.
+
+    Args:
+      reference: `gait:<name>`, the path of a .safetensors file, a name in the store, or a shipped name; a name in
+        the store hides a shipped one.
+      store_root: the store's folder.
+      robot: what the policy must fit.
+
+    Raises:
+      PolicyNotFound: with the names that exist.
+      PolicyDamaged, PolicyMisfit: see `load_policy`.
+    """
+    if reference.startswith(GAIT_PREFIX):
+        name = reference.removeprefix(GAIT_PREFIX)
+        if name not in GAITS:
+            raise PolicyNotFound(f"gait {name!r} does not exist; there are {', '.join(GAITS)}")
+        return Gait(name)
+    if reference.endswith(".safetensors") or "/" in reference:
+        return load_policy(Path(reference).expanduser(), robot)
+    paths = policy_paths(store_root)
+    if reference not in paths:
+        raise PolicyNotFound(
+            f"policy {reference!r} does not exist; there are {', '.join(paths) or 'none'}, "
+            f"gait:<name> with one of {', '.join(GAITS)}, or the path of a .safetensors file"
+        )
+    return load_policy(paths[reference], robot)
+
+
+def policy_paths(store_root: Path | None = None) -> dict[str, Path]:
+    """Name to file of every policy that is shipped or in the store."""
+    folders = [SHIPPED] + ([store_root / "policies"] if store_root else [])
+    return {path.stem: path for folder in folders for path in sorted(folder.glob("*.safetensors"))}

@@ -1,0 +1,110 @@
+"""How a policy is trained: the settings, and the presets that were found by experiment or given by the paper."""
+
+import dataclasses
+import json
+from dataclasses import dataclass
+
+from tcbi_contract.errors import describe
+
+from tcbi_policy.errors import TrainingError
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Everything that a training run depends on, apart from the model."""
+
+    task: str
+    algorithm: str = "ppo"  # or sac
+    seed: int = 0
+    steps: int = 200_000  # control steps of all environments together
+    budget_s: float = 0.0  # stop after this much time, too; 0 for no limit
+    environments: int = 256
+    timestep: float = 0.01  # s of the physics
+    threads: int = 0  # 0 for all processors
+    learning_rate: float = 1e-3
+    batch_size: int = 1024
+    gamma: float = 0.95
+    layers: tuple[int, ...] = (256, 256)
+    reward_scale: float = 1e-2  # of what the algorithm sees
+    epochs: int = 8  # PPO: passes over each set of episodes
+    gae_lambda: float = 0.9  # PPO
+    noise: float = 0.35  # PPO: standard deviation at the start, before the tanh
+    clip: float = 0.2  # PPO
+    warm_up: int = 0  # PPO: sets of episodes that only fit the value of a policy that is already there
+    updates: int = 8  # SAC: gradient steps a step of all environments
+    tau: float = 0.005  # SAC
+    buffer: int = 300_000  # SAC
+    imitate: str = ""  # a cyclic gait that the policy copies before it learns by reward
+    imitate_rounds: int = 4  # sets of episodes for it
+    evaluate_every: int = 2  # sets of episodes between evaluations on fixed seeds
+    evaluations: int = 48  # rollouts each
+
+    def to_json(self) -> str:
+        """The configuration as it lies in a run's folder."""
+        return json.dumps(dataclasses.asdict(self), indent=1) + "\n"
+
+    @staticmethod
+    def from_json(text: str) -> "TrainingConfig":
+        """Read a configuration.
+
+        Raises:
+          TrainingError: it is none, or of another version of tcbi.
+        """
+        try:
+            data = json.loads(text)
+            data["layers"] = tuple(data["layers"])
+            return TrainingConfig(**data)
+        except (ValueError, TypeError, KeyError) as e:
+            raise TrainingError(f"not a training configuration: {e}; start the run again in a new folder") from e
+
+    def checked(self) -> "TrainingConfig":
+        """This configuration, if it makes sense.
+
+        Raises:
+          TrainingError: with all faults.
+        """
+        faults = []
+        if self.algorithm not in ("ppo", "sac"):
+            faults.append(describe("algorithm", self.algorithm, "ppo or sac"))
+        for name in ("steps", "environments", "learning_rate", "batch_size", "evaluate_every", "evaluations"):
+            if getattr(self, name) <= 0:
+                faults.append(describe(name, getattr(self, name), "more than 0"))
+        if not 0.0 < self.gamma < 1.0:
+            faults.append(describe("gamma", self.gamma, "between 0 and 1"))
+        if self.budget_s < 0:
+            faults.append(describe("budget_s", self.budget_s, "0 (no limit) or more"))
+        if faults:
+            raise TrainingError("; ".join(faults))
+        return self
+
+
+PRESETS: dict[str, dict[str, TrainingConfig]] = {
+    # PPO: a policy that is useful after minutes on two cores
+    "fast": {
+        "balance": TrainingConfig("balance", steps=102_400),
+        "forward": TrainingConfig(
+            "forward", steps=150_000, environments=64, imitate="tripod", warm_up=2, noise=0.15, learning_rate=3e-4, reward_scale=1e-3
+        ),
+    },
+    # SAC with the paper's settings (Table 2); about half a day of processor time each
+    "paper": {
+        task: TrainingConfig(
+            task, "sac", steps=steps, environments=1, learning_rate=1e-3, batch_size=256, gamma=0.99, tau=0.005, updates=1,
+            buffer=1_000_000, evaluate_every=100, reward_scale=scale,
+        )  # fmt: skip
+        for task, steps, scale in (("balance", 3_000_000, 1e-2), ("forward", 5_000_000, 1e-3))
+    },
+}
+
+
+def preset(name: str, task: str) -> TrainingConfig:
+    """A preset for a task.
+
+    Raises:
+      TrainingError: there is none of this name, or none for this task.
+    """
+    if name not in PRESETS:
+        raise TrainingError(describe("preset", name, "one of " + ", ".join(PRESETS)))
+    if task not in PRESETS[name]:
+        raise TrainingError(describe(f"task for preset {name}", task, "one of " + ", ".join(PRESETS[name])))
+    return PRESETS[name][task]

@@ -1,0 +1,138 @@
+"""The training environment: one episode of a task in many simulations at once, on the batch engine.
+
+    environment = HexapodVectorEnv(model, "balance", count=256, seed=0)
+    observation, info = environment.reset()
+    observation, reward, terminated, truncated, info = environment.step(action)
+
+Every episode has its own physical parameters, drawn from the model's particles, and its own scenario. Episodes never end
+early: all of them are truncated together at the task's duration, and the next ones begin in the same step (the last
+observations are in `info["final_obs"]`). Episode set g of seed s is a function of (s, g) alone, so that a training run
+that was killed can go on as if nothing had happened. Physics and reward are the engine's and `reward.step_rewards`; there
+is no copy of either here.
+"""
+
+import dataclasses
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_sim.engine import Simulator
+from tcbi_sim.measurement import Scenario, observation, roll_pitch_yaw
+from tcbi_sim.model import Model
+from tcbi_sim.sensing import Samples
+from tcbi_sim.tasks import find_task
+
+from tcbi_policy.reward import inclination, progress, step_rewards
+
+TIMESTEP_S = 0.01  # implicitfast with the elliptic cone follows finer steps within 0.15 degrees
+
+
+class HexapodVectorEnv(VectorEnv):
+    """B episodes of one task in step; observation (B, J + 3) rad, action (B, J).
+
+    Attributes:
+      generation: which set of episodes runs; set it before `reset` to go on from there.
+      limit: rad, the joint range.
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+
+    def __init__(
+        self, model: Model, task: str, count: int, seed: int = 0, *, squash: bool = False, timestep: float = TIMESTEP_S, threads: int = 0
+    ):
+        """Make the simulations.
+
+        Args:
+          model: its particles give each episode's parameters.
+          task: a registered task.
+          count: B.
+          seed: of parameters and scenarios.
+          squash: the action is any real number and the joint target is limit * tanh(action), instead of an action in
+            [-1, 1] that is multiplied by the limit.
+          timestep: s of the physics.
+          threads: 0 for all processors.
+        """
+        self.model, self.task, self.num_envs, self.generation = model, find_task(task), count, 0
+        self._seed, self._squash = seed, squash
+        parameters, scenarios = self._draw()
+        room = dataclasses.replace(scenarios[0], blocks=(scenarios[0].blocks * self.task.blocks)[: self.task.blocks])
+        self.simulator = Simulator(model, parameters, [room, *scenarios[1:]], timestep, threads)
+        joints = len(self.simulator.rig.joint_names)
+        self.limit = self.simulator.rig.joint_range
+        bound = np.inf if squash else 1.0
+        high = np.full(joints + 3, np.pi, np.float32)
+        self.single_observation_space = gymnasium.spaces.Box(-high, high)
+        self.single_action_space = gymnasium.spaces.Box(-bound, bound, (joints,), np.float32)
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, count)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, count)
+        self.steps = round(self.task.duration / CONTROL_PERIOD_S)
+
+    def _draw(self) -> tuple[np.ndarray, list[Scenario]]:
+        """Parameters (B, P) and scenarios of the present generation."""
+        rng = np.random.default_rng([self._seed, self.generation])
+        parameters = self.model.sample(rng, self.num_envs)
+        return parameters, [self.task.draw(rng, int(rng.integers(2**31))) for _ in range(self.num_envs)]
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start the episodes of the present generation; a seed starts again from generation 0."""
+        if seed is not None:
+            self._seed, self.generation = int(seed), 0
+        self._begin()
+        return self._observation(), {}
+
+    def _begin(self) -> None:
+        parameters, self._scenarios = self._draw()
+        self.simulator.reset(parameters=parameters, scenarios=self._scenarios)
+        start = [s.initial_joint_position or np.zeros(len(self.simulator.rig.joint_names)) for s in self._scenarios]
+        self._previous = np.array(start, float)
+        self._heading = np.array([s.initial_yaw for s in self._scenarios])
+        self._now = self.simulator.observe()
+        self._origin = self._position(self._now)
+        self._yaw = roll_pitch_yaw(self._attitude(self._now))[:, 2]
+        self._taken = 0
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One control period of all episodes; actions (B, J)."""
+        action = np.asarray(action, float)
+        target = self.limit * (np.tanh(action) if self._squash else np.clip(action, -1.0, 1.0))
+        self.simulator.command(target)
+        before, self._now = self._now, self.simulator.advance(CONTROL_PERIOD_S)
+        reward = self._reward(before, target)
+        self._previous = target
+        self._taken += 1
+        ended = np.full(self.num_envs, self._taken == self.steps)
+        info: dict[str, Any] = {"diverged": self.simulator.diverged.copy()}
+        if ended.all():
+            info |= {"final_obs": self._observation(), "final_info": self._outcome()}
+            self.generation += 1
+            self._begin()
+        return self._observation(), reward, np.zeros(self.num_envs, bool), ended, info
+
+    def _reward(self, before: Samples, target: np.ndarray) -> np.ndarray:
+        """Rewards (B,); a simulation that diverged earns nothing from then on."""
+        attitude = np.stack([self._attitude(before), self._attitude(self._now)], axis=1)
+        way = np.stack([self._origin, self._position(before), self._position(self._now)], axis=1)
+        moved = progress(way, self._heading)[:, 1:]
+        reward = step_rewards(self.task.name, attitude, moved, target[:, None], self._previous)[:, 0]
+        return np.where(self.simulator.diverged | ~np.isfinite(reward), 0.0, reward)
+
+    def _outcome(self) -> dict[str, np.ndarray]:
+        """What came of each episode: final inclination (rad) and distance (m)."""
+        way = np.stack([self._origin, self._position(self._now)], axis=1)
+        return {"inclination": inclination(self._attitude(self._now)), "distance": progress(way, self._heading)[:, -1]}
+
+    def _observation(self) -> np.ndarray:
+        seen = observation(self._now.joint_position[:, -1], self._attitude(self._now), self._yaw)
+        return np.nan_to_num(seen, posinf=0.0, neginf=0.0).clip(-np.pi, np.pi).astype(np.float32)
+
+    @staticmethod
+    def _attitude(samples: Samples) -> np.ndarray:
+        assert samples.attitude is not None
+        return samples.attitude[:, -1]
+
+    @staticmethod
+    def _position(samples: Samples) -> np.ndarray:
+        assert samples.position is not None
+        return samples.position[:, -1]

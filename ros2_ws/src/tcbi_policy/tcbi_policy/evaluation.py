@@ -1,0 +1,113 @@
+"""How good a policy is on draws of a model, and whether one is better than another.
+
+    conditions = draw_conditions(model, "balance", 64, seed=1)
+    before, after = (evaluate(policy, model, conditions) for policy in (old, new))
+    comparison = compare_paired(before, after)
+    comparison.better        # with 95 % confidence
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Scenario
+from tcbi_sim.model import Model
+from tcbi_sim.tasks import find_task
+
+from tcbi_policy.artefact import Actor
+from tcbi_policy.environment import TIMESTEP_S
+from tcbi_policy.reward import inclination, progress, simulated_rewards
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """n pairs of physical parameters and scenario; every policy that is compared meets the same."""
+
+    parameters: np.ndarray  # (n, P)
+    scenarios: list[Scenario]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Outcomes of one policy; NaN where a simulation diverged."""
+
+    returns: np.ndarray  # (n,)
+    inclination: np.ndarray  # (n,) rad, at the end
+    distance: np.ndarray  # (n,) m along the heading at the start
+
+    @property
+    def mean_return(self) -> float:
+        """Mean over the simulations that did not diverge."""
+        return float(np.nanmean(self.returns))
+
+    def summary(self) -> dict[str, float]:
+        """Means and spreads, in degrees and m."""
+        degrees = np.degrees(self.inclination)
+        return {
+            "rollouts": len(self.returns),
+            "mean_return": self.mean_return,
+            "sd_return": float(np.nanstd(self.returns)),
+            "final_inclination_deg": float(np.nanmean(degrees)),
+            "distance_m": float(np.nanmean(self.distance)),
+            "median_distance_m": float(np.nanmedian(self.distance)),
+            "diverged": int(np.isnan(self.returns).sum()),
+        }
+
+
+def draw_conditions(model: Model, task: str, count: int, seed: int) -> Conditions:
+    """Draws of a model's parameters and a task's scenarios, a function of the seed."""
+    rng = np.random.default_rng([seed, 104729])
+    parameters = model.sample(rng, count)
+    return Conditions(parameters, [find_task(task).draw(rng, int(rng.integers(2**31))) for _ in range(count)])
+
+
+def evaluate(actor: Actor, model: Model, conditions: Conditions, timestep: float = TIMESTEP_S, threads: int = 0) -> Evaluation:
+    """Roll a policy out, once in each condition."""
+    out = simulate(
+        model, conditions.parameters, conditions.scenarios, controller=actor, pairing="zip", timestep=timestep, threads=threads
+    )  # fmt: skip
+    assert out.attitude is not None and out.position is not None
+    lost = out.diverged[:, 0]
+    heading = np.array([s.initial_yaw for s in conditions.scenarios])
+    ends = (inclination(out.attitude[:, 0, -1]), progress(out.position[:, 0], heading)[:, -1])
+    returns = np.nansum(simulated_rewards(out)[:, 0], axis=-1)
+    return Evaluation(*(np.where(lost, np.nan, values) for values in (returns, *ends)))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The gain of one policy over another under the same conditions."""
+
+    gain: float  # mean difference of the returns
+    low: float  # one-sided bound: the gain is at least this with the confidence asked for
+    pairs: int
+    confidence: float
+    before: float  # mean return of either, over the same pairs
+    after: float
+
+    @property
+    def better(self) -> bool:
+        """Whether the new policy is better with confidence."""
+        return self.low > 0.0
+
+    def statement(self) -> str:
+        """The verdict in a sentence."""
+        verdict = "better" if self.better else "not better with confidence"
+        return (
+            f"{verdict}: return {self.before:.0f} -> {self.after:.0f} on {self.pairs} held-out draws, "
+            f"gain at least {self.low:.0f} with {100 * self.confidence:.0f} % confidence"
+        )
+
+
+def compare_paired(before: Evaluation, after: Evaluation, confidence: float = 0.95) -> Comparison:
+    """Student's t on the differences; a simulation that diverged under either policy drops out of both."""
+    valid = np.isfinite(before.returns) & np.isfinite(after.returns)
+    old, new = before.returns[valid], after.returns[valid]
+    pairs = len(old)
+    if pairs < 2:
+        return Comparison(np.nan, -np.inf, pairs, confidence, np.nan, np.nan)
+    difference = new - old
+    error = difference.std(ddof=1) / np.sqrt(pairs)
+    low = difference.mean() - float(stats.t.ppf(confidence, pairs - 1)) * error
+    return Comparison(float(difference.mean()), float(low), pairs, confidence, float(old.mean()), float(new.mean()))
