@@ -1,7 +1,7 @@
 """QoS profiles and message layouts, so that driver and simulator publish the same by construction."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import PoseStamped
@@ -39,7 +39,7 @@ def to_stamp(nanoseconds: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def joint_state(stamp: Time, position: Sequence[float], names: Sequence[str] = JOINTS) -> JointState:
+def joint_state(stamp: Time, position: Iterable[float], names: Sequence[str] = JOINTS) -> JointState:
     """Measured joint positions (rad); the robot measures neither velocity nor effort."""
     message = JointState(name=list(names), position=[float(x) for x in position])
     message.header.stamp = stamp
@@ -49,9 +49,9 @@ def joint_state(stamp: Time, position: Sequence[float], names: Sequence[str] = J
 
 def imu(
     stamp: Time,
-    orientation: Sequence[float] | None,
-    angular_velocity: Sequence[float] | None,
-    linear_acceleration: Sequence[float] | None,
+    orientation: Iterable[float] | None,
+    angular_velocity: Iterable[float] | None,
+    linear_acceleration: Iterable[float] | None,
     sd: tuple[float, float, float] = (0.01, 0.01, 0.1),
 ) -> Imu:
     """One IMU sample.
@@ -80,14 +80,14 @@ def imu(
     return message
 
 
-def _covariance(values: Sequence[float] | None, sd: float) -> list[float]:
+def _covariance(values: Iterable[float] | None, sd: float) -> list[float]:
     diagonal = ABSENT if values is None else sd * sd
     rest = 0.0 if values is None else diagonal
     return [diagonal, 0.0, 0.0, 0.0, rest, 0.0, 0.0, 0.0, rest]
 
 
 def foot_contacts(
-    stamp: Time, contact: Sequence[bool], force: Sequence[float] = (), names: Sequence[str] = LEGS
+    stamp: Time, contact: Iterable[bool], force: Iterable[float] = (), names: Sequence[str] = LEGS
 ) -> FootContacts:
     """Foot switches; `force` (N) stays empty where the hardware has switches only."""
     message = FootContacts(name=list(names), contact=[bool(c) for c in contact], force=[float(f) for f in force])
@@ -96,7 +96,7 @@ def foot_contacts(
     return message
 
 
-def tracker_pose(stamp: Time, position: Sequence[float], orientation: Sequence[float]) -> PoseStamped:
+def tracker_pose(stamp: Time, position: Iterable[float], orientation: Iterable[float]) -> PoseStamped:
     """Body pose in the world, position in m, orientation (x, y, z, w)."""
     message = PoseStamped()
     message.header.stamp = stamp
@@ -108,7 +108,7 @@ def tracker_pose(stamp: Time, position: Sequence[float], orientation: Sequence[f
 
 
 def joint_command(
-    stamp: Time, position: Sequence[float], duration_s: float = CONTROL_PERIOD_S, names: Sequence[str] = JOINTS
+    stamp: Time, position: Iterable[float], duration_s: float = CONTROL_PERIOD_S, names: Sequence[str] = JOINTS
 ) -> JointTrajectory:
     """One command: reach `position` (rad) on a linear ramp within `duration_s`."""
     message = JointTrajectory(joint_names=list(names))

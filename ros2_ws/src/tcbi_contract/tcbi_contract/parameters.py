@@ -31,18 +31,20 @@ def declare(node: Node, cls: type[T]) -> T:
       ParameterError: all faults at once: unknown names, wrong types, values out of range.
     """
     faults, values = [], {}
-    fields = {f.name: f for f in dataclasses.fields(cls)}
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     given = node._parameter_overrides  # rclpy offers no public view of what the command line gave
-    for name in sorted(set(given) - set(fields) - {"use_sim_time"}):
-        if not name.startswith(("qos_overrides", "start_type_description_service")):
-            faults.append(f"unknown parameter {name!r}; known are {', '.join(fields)}")
+    own = ("use_sim_time", "qos_overrides", "start_type_description_service")  # of every node
+    unknown = sorted(name for name in set(given) - set(fields) if not name.startswith(own))
+    faults += [f"unknown parameter {name!r}; known are {', '.join(fields)}" for name in unknown]
     for name, field in fields.items():
-        default = field.default if field.default is not dataclasses.MISSING else field.default_factory()
+        default = _default(field)
         try:
             values[name] = node.declare_parameter(name, default, _descriptor(field, default)).value
         except (InvalidParameterValueException, InvalidParameterTypeException) as e:
             seen = given[name].value if name in given else default
-            faults.append(f"parameter {name!r}: got {seen!r}, allowed is {_allowed(field, default)} ({e.__class__.__name__})")
+            faults.append(
+                f"parameter {name!r}: got {seen!r}, allowed is {_allowed(field, default)} ({e.__class__.__name__})"
+            )
             continue
         choices = field.metadata["choices"]
         if choices and values[name] not in choices:
@@ -50,6 +52,10 @@ def declare(node: Node, cls: type[T]) -> T:
     if faults:
         raise ParameterError("; ".join(faults))
     return cls(**values)
+
+
+def _default(field: dataclasses.Field) -> Any:
+    return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
 
 
 def _allowed(field: dataclasses.Field, default: Any) -> str:
@@ -82,6 +88,6 @@ def parameter_table(cls: type) -> list[tuple[str, str, str, str]]:
     """(name, default, allowed, description) of each parameter, for the documentation."""
     rows = []
     for field in dataclasses.fields(cls):
-        default = field.default if field.default is not dataclasses.MISSING else field.default_factory()
+        default = _default(field)
         rows.append((field.name, repr(default), _allowed(field, default), field.metadata["text"]))
     return rows

@@ -1,7 +1,7 @@
 """A physical effect: what it is, where it is known from, its parameters, and how it changes a simulation.
 
-An effect is one small file in `effects/` (or in a folder of the user's own) that defines `EFFECT`. A use of an effect in a
-model is written `name`, or `name:site` for an effect that has a choice of place (a leg, a joint).
+An effect is one small file in `effects/` (or in a folder of the user's own) that defines `EFFECT`. A use of an effect
+in a model is written `name`, or `name:site` for an effect that has a choice of place (a leg, a joint).
 """
 
 from collections.abc import Callable
@@ -63,7 +63,9 @@ class Effect:
     parameters: tuple[Parameter, ...]  # each with its null value
     apply: Apply  # writes B simulations' fields; adds to or multiplies what stands there
     edit: Callable[[mujoco.MjSpec, Rig, str], None] | None = None  # structural change, without parameters
-    update: Callable[[Fields, Rig, str, Values, "State", float], None] | None = None  # before each sample, for what drifts
+    update: Callable[[Fields, Rig, str, Values, "State", float], None] | None = (
+        None  # before each sample, for what drifts
+    )
     sites: Callable[[Rig], tuple[str, ...]] = everywhere
     requires: Callable[[Rig], str] = any_rig  # "" or why this rig cannot have it
 

@@ -1,46 +1,31 @@
-"""Many simulations of one model structure, stepped together: the one engine under everything but the physics itself.
+"""Many rollouts at once: the one engine under inference, comparison, diagnosis and training.
 
     model = ModelStore().load("latest")
     out = simulate(model, model.sample(rng, 50), scenarios, commands=recorded)     # open loop, 50 x S
     out = simulate(model, values, scenarios, controller=policy)                     # closed loop at 5 Hz
     out.joint_position                                                              # (N, S, T, J)
 
-Parameters are physical values in the model's order. Results are bit-identical at any number of threads. A simulation that
-diverges is marked in `diverged`, keeps its last values, and never stops the others.
+Parameters are physical values in the model's order. Results are bit-identical at any number of threads.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
-import mujoco
 import numpy as np
-from mujoco.batch import Batch, SimulationError
 
 from tcbi_contract.names import CONTROL_PERIOD_S
-from tcbi_sim.command_path import CommandPath
-from tcbi_sim.effect import EffectUse, State
 from tcbi_sim.errors import SimError
-from tcbi_sim.fields import CommandFields, Fields, ModelFields, SensingFields
-from tcbi_sim.measurement import Commands, Measurement, Scenario, observation, quaternion_from_rpy, roll_pitch_yaw
+from tcbi_sim.measurement import Commands, Measurement, Scenario, observation, roll_pitch_yaw
 from tcbi_sim.model import Model
 from tcbi_sim.rig import Rig, load_rig
-from tcbi_sim.sensing import Samples, delay, multiply, rotate_back, sense
+from tcbi_sim.sensing import Samples
+from tcbi_sim.simulator import Simulator, compile_structure, edited_spec
+
+__all__ = ["Controller", "SimulatedRollouts", "Simulator", "compile_structure", "edited_spec", "simulate"]
 
 CHUNK = 512  # simulations at a time: what memory holds, not what threads need
-CLEARANCE = 0.004  # m above the ground before settling
 WINDOW = 25  # samples between two looks at the commands in open loop
-MEMORY_S = 0.3  # s of samples kept for late sensors
-
-
-def silence_mujoco() -> None:
-    """Keep MuJoCo's warnings off the console and out of MUJOCO_LOG.TXT: divergence is reported per simulation instead."""
-    config = mujoco.MjLogConfig.get()
-    config.logto_console = config.logto_file = False
-    config.set()
-
-
-silence_mujoco()
 
 
 class Controller(Protocol):
@@ -51,335 +36,6 @@ class Controller(Protocol):
 
     def act(self, time: float, observation: np.ndarray) -> np.ndarray:
         """Targets (B, J) in rad for observations (B, J + 3) at `time` s since the start."""
-
-
-def compile_structure(rig: Rig, uses: Sequence[EffectUse], blocks: int = 0) -> mujoco.MjModel:
-    """The MuJoCo model of a rig with the structural changes of some effects, at nominal parameters."""
-    return edited_spec(rig, uses, blocks).compile()
-
-
-def edited_spec(rig: Rig, uses: Sequence[EffectUse], blocks: int = 0) -> mujoco.MjSpec:
-    """A rig's spec with the structural changes of some effects."""
-    spec = rig.build(blocks)
-    for use in uses:
-        if use.effect.edit:
-            use.effect.edit(spec, rig, use.site)
-    return spec
-
-
-class Simulator:
-    """B simulations of one model structure. The live sim node is B = 1; training environments are hundreds."""
-
-    def __init__(
-        self,
-        model: Model,
-        parameters: np.ndarray,
-        scenarios: Sequence[Scenario],
-        timestep: float = 0.002,
-        threads: int = 0,
-        rate: float | None = None,
-    ):
-        """Stand every simulation at its scenario's start.
-
-        Args:
-          model: gives rig, effects and the order of parameters.
-          parameters: (B, P) physical values.
-          scenarios: B of them.
-          timestep: s; must divide the sample interval.
-          threads: 0 for all processors.
-          rate: samples a second; the rig's own by default.
-        """
-        self.rig, self.uses, self._names = load_rig(model.rig), model.uses(), model.names
-        self.rate, self.timestep = rate or self.rig.rate, timestep
-        self.per_sample = round(1 / (self.rate * timestep))
-        if abs(self.per_sample * self.rate * timestep - 1) > 1e-6 or self.per_sample < 1:
-            raise SimError(f"timestep {timestep} s does not divide the sample interval {1 / self.rate} s")
-        self.scenarios = list(scenarios)
-        self.parameters = np.array(parameters, float)
-        self._check_shapes()
-        self._blocks = max((len(s.blocks) for s in scenarios), default=0)
-        self._mj = compile_structure(self.rig, self.uses, self._blocks)
-        self._mj.opt.timestep = timestep
-        self.count, joints = len(self.scenarios), len(self.rig.joint_names)
-        self._batch = Batch(self._mj, self.count, threads)
-        self.fields = Fields(
-            self._mj, ModelFields(self._batch), CommandFields.perfect(self.count, joints),
-            SensingFields.perfect(self.count, joints), self.rig.joint_names,
-        )  # fmt: skip
-        self.path = CommandPath(self.fields.command, [np.random.default_rng(0)] * self.count)
-        self.time = 0.0
-        self.diverged = np.zeros(self.count, bool)
-        self._warned = np.zeros(self.count, int)
-        self._index()
-        self._drifting = [u for u in self.uses if u.effect.update]
-        self.reset()
-
-    @property
-    def mj(self) -> mujoco.MjModel:
-        """The compiled structure at nominal parameters; `materialise` gives one simulation's own."""
-        return self._mj
-
-    def materialise(self, index: int = 0) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """One simulation's model and state, to render it or to pass it to any MuJoCo function."""
-        model = self._batch.get_model(index)
-        data = self._batch.get_data(index)
-        mujoco.mj_forward(model, data)
-        return model, data
-
-    def reset(
-        self, ids: np.ndarray | None = None, parameters: np.ndarray | None = None, scenarios: Sequence[Scenario] | None = None
-    ) -> None:
-        """Put simulations at the start of an episode, settled in their initial posture. Time goes on.
-
-        Args:
-          ids: (n,) which; None for all.
-          parameters: (n, P) new values; None to keep them.
-          scenarios: n new ones; None to keep them. At most as many blocks as when the simulator was made.
-        """
-        ids = np.arange(self.count) if ids is None else np.asarray(ids)
-        if parameters is not None:
-            self.parameters[ids] = parameters
-        for i, scenario in zip(ids, scenarios or (), strict=scenarios is not None):
-            if len(scenario.blocks) > self._blocks:
-                raise SimError(f"the scenario has {len(scenario.blocks)} blocks, this simulator has room for {self._blocks}")
-            self.scenarios[i] = scenario
-        self._check_shapes()
-        self._write_fields(ids)
-        self._place(ids)
-        self.diverged[ids] = False
-        self._warned[ids] = self._warnings()[ids]
-        self._settle(ids)
-        self._raw: Samples | None = None
-        self._remember(self._sample_now())
-
-    def command(self, target: np.ndarray, ramp: float = CONTROL_PERIOD_S, torque_on: np.ndarray | None = None) -> None:
-        """Send targets (B, J) now; a row of NaN is no command for that simulation.
-
-        Args:
-          target: rad (or N m for a torque rig).
-          ramp: s to reach it.
-          torque_on: (B,) whether the servos hold at all; None to leave it.
-        """
-        if torque_on is not None:
-            self.set_torque(torque_on)
-        self.path.give(self.time, np.broadcast_to(np.asarray(target, float), self._hold.shape), ramp)
-
-    def set_torque(self, on: np.ndarray | bool) -> None:
-        """Switch all servos of each simulation on or off (limp), (B,)."""
-        on = np.broadcast_to(on, (self.count,))
-        if np.array_equal(on, self._torque_on):
-            return
-        self._torque_on = np.array(on)
-        self._write_gain()
-
-    def advance(self, duration: float) -> Samples:
-        """Step on and return the sensors' readings at the sample rate, the last one at the new time.
-
-        Args:
-          duration: s, a multiple of the sample interval.
-        """
-        samples = round(duration * self.rate)
-        if samples < 1 or abs(samples - duration * self.rate) > 1e-6:
-            raise SimError(f"can advance by multiples of {1 / self.rate} s, got {duration} s")
-        if not self._drifting:
-            return self._readings(self._advance(samples))
-        parts = []
-        for _ in range(samples):
-            state = self._state()
-            for use in self._drifting:
-                assert use.effect.update is not None
-                use.effect.update(self.fields, self.rig, use.site, use.values(self._row()), state, 1 / self.rate)
-            parts.append(self._advance(1))
-        return self._readings(Samples.concatenate(parts))
-
-    def observe(self) -> Samples:
-        """The sensors' readings at the present time, (B, 1, ...)."""
-        assert self._raw is not None
-        return self._readings(self._raw.map(lambda v: v[:, -1:]), self._raw.time[-1:])
-
-    # -- inside ---------------------------------------------------------------------------------------------------
-
-    def _check_shapes(self) -> None:
-        expected = (len(self.scenarios), len(self._names))
-        if self.parameters.shape != expected:
-            raise SimError(f"parameters have shape {self.parameters.shape}, expected {expected} for {', '.join(self._names)}")
-
-    def _index(self) -> None:
-        mj, rig = self._mj, self.rig
-
-        def columns(name: str) -> np.ndarray:
-            sensor = mj.sensor(name)
-            return np.arange(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
-
-        self._joint_columns = np.concatenate([columns(f"position/{j}") for j in rig.joint_names])
-        self._contact_columns = np.concatenate([columns(f"contact/{f}") for f in rig.foot_names]) if rig.foot_names else None
-        self._imu_columns = [columns(n) for n in ("attitude", "gyro", "accelerometer")] if rig.has_imu else None
-        self._tracker_columns = columns("tracker") if rig.floating else None
-        self._actuators = self.fields.actuators()
-        self._qpos = np.array([mj.joint(j).qposadr[0] for j in rig.joint_names])
-        self._dofs = self.fields.dofs()
-        self._hold = np.zeros((self.count, len(rig.joint_names)))
-        # bound once, before any call: a field bound later would read zero until the call after
-        self._sensordata = self._batch.bind("sensordata")
-        self._geom_xpos = self._batch.bind("geom_xpos")
-        self._actuator_force = self._batch.bind("actuator_force")
-        self._torque_on = np.ones(self.count, bool)
-
-    def _row(self) -> dict[str, np.ndarray]:
-        return dict(zip(self._names, self.parameters.T, strict=True))
-
-    def _write_fields(self, ids: np.ndarray) -> None:
-        """Write every simulation's fields anew; those not in `ids` get the values that they have."""
-        f, row = self.fields, self._row()
-        f.model.restore()
-        for group in (f.command, f.sensing):
-            for name, values in vars(group).items():
-                values[...] = np.inf if name == "speed" else 0.0
-        self._write_terrain()
-        keys = sorted({k for s in self.scenarios for k, _ in s.constants})
-        constants = {k: np.array([s.constant(k, np.nan) for s in self.scenarios]) for k in keys}
-        self.rig.apply(f, {p.name: row[p.name] for p in self.rig.parameters}, constants)
-        for use in self.uses:
-            use.effect.apply(f, self.rig, use.site, use.values(row))
-        self._gain = f.model["actuator_gainprm"].copy(), f.model["actuator_biasprm"].copy()
-        self._torque_on[ids] = True
-        self._write_gain()
-        if f.model.needs_constants:
-            self._batch.set_const(ids)
-
-    def _write_gain(self) -> None:
-        if self._torque_on.all() and "actuator_gainprm" not in self.fields.model:
-            return
-        on = self._torque_on[:, None, None]
-        self.fields.model["actuator_gainprm"][...] = np.where(on, self._gain[0], 0.0)
-        self.fields.model["actuator_biasprm"][...] = np.where(on, self._gain[1], 0.0)
-
-    def _write_terrain(self) -> None:
-        if not self.rig.floating:
-            return
-        f, mj = self.fields, self._mj
-        roll = np.array([s.slope_roll for s in self.scenarios])
-        pitch = np.array([s.slope_pitch for s in self.scenarios])
-        f.model["body_quat"][:, f.body("ground")] = quaternion_from_rpy(roll, pitch, np.zeros(self.count))
-        for i in range(self._blocks):
-            geom = mj.geom(f"block_{i}").id
-            for b, scenario in enumerate(self.scenarios):
-                if i < len(scenario.blocks):
-                    block = scenario.blocks[i]
-                    half = np.array(block.size) / 2
-                    f.model["geom_pos"][b, geom] = block.center
-                    f.model["geom_size"][b, geom] = half
-                    f.model["geom_quat"][b, geom] = [np.cos(block.yaw / 2), 0, 0, np.sin(block.yaw / 2)]
-                    f.model["geom_rbound"][b, geom] = np.linalg.norm(half)
-                    f.model["geom_aabb"][b, geom] = [0, 0, 0, *half]
-
-    def _place(self, ids: np.ndarray) -> None:
-        """Initial state: posture, and for a floating rig the trunk just above the ground, aligned with it."""
-        self._batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        qpos = self._batch.bind("qpos")
-        for i in ids:
-            posture = self.scenarios[i].initial_joint_position
-            self._hold[i] = 0.0 if posture is None else np.asarray(posture)
-        # where a servo is mounted off its zero, the link stands off by as much
-        qpos[np.ix_(ids, self._qpos)] = self._hold[ids] + self.fields.command.offset[ids]
-        rngs = [np.random.default_rng([self.scenarios[i].seed, 7919]) for i in ids]
-        self.path.hold(ids, self._hold[ids], rngs)
-        self._batch.bind("ctrl")[np.ix_(ids, self._actuators)] = self._hold[ids] + self.fields.command.offset[ids]
-        if self.rig.floating:
-            self._stand(ids, qpos)
-
-    def _stand(self, ids: np.ndarray, qpos: np.ndarray) -> None:
-        ground = self.fields.model["body_quat"][ids, self.fields.body("ground")]
-        yaw = np.array([self.scenarios[i].initial_yaw for i in ids])
-        zero = np.zeros_like(yaw)
-        qpos[ids, 3:7] = multiply(ground, quaternion_from_rpy(zero, zero, yaw))
-        qpos[ids, :3] = 0.0
-        self._batch.forward(ids, int(mujoco.mjtStage.mjSTAGE_POS))
-        normal = rotate_back(ground * [1, -1, -1, -1], np.broadcast_to([0.0, 0.0, 1.0], (len(ids), 3)))
-        feet = [self._mj.geom(f"{foot}_foot").id for foot in self.rig.foot_names]
-        radius = self._mj.geom_size[feet[0], 0]
-        depth = np.einsum("bfx,bx->bf", self._geom_xpos[np.ix_(ids, feet)], normal).min(axis=1)
-        qpos[ids, :3] = normal * (radius + CLEARANCE - depth)[:, None]
-
-    def _settle(self, ids: np.ndarray) -> None:
-        longest = max(self.scenarios[i].settle for i in ids)
-        steps = round(longest / self.timestep)
-        if self.rig.floating and steps:
-            self._run(lambda: self._batch.step(ids, steps))
-
-    def _run(self, call: Callable[[], None]) -> None:
-        try:
-            call()
-        except SimulationError as e:
-            self.diverged[e.ids] = True
-
-    def _advance(self, samples: int) -> Samples:
-        """Step, and return the true signals of the new samples."""
-        steps = samples * self.per_sample
-        midpoints = self.time + (np.arange(steps) + 0.5) * self.timestep
-        control = np.zeros((self.count, steps, self._mj.nu))
-        control[:, :, self._actuators] = self.path.references(midpoints)
-        recorded: dict = {}
-
-        def call() -> None:
-            recorded.update(self._batch.rollout(steps, control, record=("sensordata",)))
-
-        self._run(call)
-        times = self.time + np.arange(1, samples + 1) / self.rate
-        self.time = round((self.time + samples / self.rate) * 1e9) / 1e9
-        last = self._sample_now()
-        # a step's sensors describe the state before it, so sample k is what step k * per_sample saw
-        inner = recorded["sensordata"][:, self.per_sample :: self.per_sample] if recorded else None
-        if inner is None or samples == 1:
-            return last
-        before = self._samples(inner, times[:-1])
-        return Samples.concatenate([before, last])
-
-    def _sample_now(self) -> Samples:
-        self._run(lambda: self._batch.forward())
-        bad = ~np.isfinite(self._batch.bind("qpos")).all(axis=1)
-        self.diverged |= bad | (self._warnings() > self._warned)
-        return self._samples(self._sensordata[:, None, :], np.array([self.time]))
-
-    def _warnings(self) -> np.ndarray:
-        """(B,) how often MuJoCo warned of each simulation."""
-        return self._batch.warning.reshape(self.count, -1).sum(axis=1)
-
-    def _samples(self, data: np.ndarray, times: np.ndarray) -> Samples:
-        imu = [data[:, :, c].copy() for c in self._imu_columns] if self._imu_columns else [None] * 3
-        contact = None if self._contact_columns is None else data[:, :, self._contact_columns] > self.rig.contact_threshold
-        position = None if self._tracker_columns is None else data[:, :, self._tracker_columns].copy()
-        return Samples(times, data[:, :, self._joint_columns].copy(), *imu, contact, position)
-
-    def _remember(self, new: Samples) -> None:
-        joined = new if self._raw is None else Samples.concatenate([self._raw, new])
-        keep = round(MEMORY_S * self.rate)
-        self._raw = Samples(joined.time[-keep:], **{n: _last(getattr(joined, n), keep) for n in Samples.names()})
-
-    def _readings(self, raw: Samples, times: np.ndarray | None = None) -> Samples:
-        if times is None:
-            history = self._raw
-            self._remember(raw)
-        else:
-            history = None
-        sensing = self.fields.sensing
-        if not sensing.latency.any():
-            return sense(raw, sensing)
-        source = self._raw if history is None else Samples.concatenate([history, raw])
-        assert source is not None
-        return sense(delay(source, sensing.latency, raw.time), sensing)
-
-    def _state(self) -> State:
-        return State(
-            self.time,
-            self._batch.bind("qpos")[:, self._qpos],
-            self._batch.bind("qvel")[:, self._dofs],
-            self._actuator_force[:, self._actuators],
-        )
-
-
-def _last(values: np.ndarray | None, keep: int) -> np.ndarray | None:
-    return None if values is None else values[:, -keep:]
 
 
 @dataclass
@@ -402,7 +58,9 @@ class SimulatedRollouts:
 
     def measurement(self, n: int, s: int = 0, rollout_id: str = "", policy_id: str = "") -> Measurement:
         """One simulated rollout as a measurement, cut to its own duration."""
-        scenario = self.scenarios[n if len(self.scenarios) == len(self.joint_position) and self.diverged.shape[1] == 1 else s]
+        scenario = self.scenarios[
+            n if len(self.scenarios) == len(self.joint_position) and self.diverged.shape[1] == 1 else s
+        ]
         until = np.searchsorted(self.time, scenario.duration + 1e-9)
 
         def cut(values: np.ndarray | None) -> np.ndarray | None:
@@ -413,12 +71,23 @@ class SimulatedRollouts:
         assert joint_position is not None
         given = ~np.isnan(self.commands_given[n, s]).any(axis=1) & (self.command_time < scenario.duration - 1e-9)
         return Measurement(
-            rollout_id or f"sim_{n}_{s}", self.rig.name, scenario, policy_id, "sim",
+            rollout_id or f"sim_{n}_{s}",
+            self.rig.name,
+            scenario,
+            policy_id,
+            "sim",
             Commands(self.command_time[given], self.commands_given[n, s, given], CONTROL_PERIOD_S),
-            self.rig.joint_names, self.rig.foot_names, self.time[:until], joint_position, cut(self.attitude),
-            cut(self.angular_velocity), cut(self.linear_acceleration), cut(self.contact), position,
+            self.rig.joint_names,
+            self.rig.foot_names,
+            self.time[:until],
+            joint_position,
+            cut(self.attitude),
+            cut(self.angular_velocity),
+            cut(self.linear_acceleration),
+            cut(self.contact),
+            position,
             distance=float(position[-1, 0] - position[0, 0]) if position is not None else np.nan,
-        )  # fmt: skip
+        )
 
 
 def simulate(
@@ -447,7 +116,7 @@ def simulate(
       timestep: s.
       rate: samples a second; the rig's own by default.
       threads: 0 for all processors.
-      chunk: simulations held in memory at a time; the results do not depend on it for open loop or stateless controllers.
+      chunk: simulations held in memory at a time; open loop and stateless controllers do not depend on it.
       progress: called with the share done.
 
     Raises:
@@ -543,7 +212,7 @@ def _gather(rig: Rig, scenarios: list[Scenario], parts: list[Part], shape: tuple
         joined = np.concatenate(rows)
         return joined.reshape(*shape, *joined.shape[1:])
 
-    arrays = {name: join(name) for name in Samples.names()}
+    arrays: dict[str, Any] = {name: join(name) for name in Samples.names()}
     longest = max(parts, key=lambda p: len(p[0].time))
     if any(not np.array_equal(p[1], longest[1]) for p in parts):
         times = np.unique(np.concatenate([p[1] for p in parts]))
@@ -555,9 +224,15 @@ def _gather(rig: Rig, scenarios: list[Scenario], parts: list[Part], shape: tuple
         given[row : row + len(values), np.searchsorted(times, own)] = values
         row += len(values)
     return SimulatedRollouts(
-        rig, scenarios, longest[0].time, **arrays, command_time=times, commands_given=given.reshape(*shape, *given.shape[1:]),
-        diverged=np.concatenate([p[3] for p in parts]).reshape(shape), duration=np.array([s.duration for s in scenarios]),
-    )  # fmt: skip
+        rig,
+        scenarios,
+        longest[0].time,
+        **arrays,
+        command_time=times,
+        commands_given=given.reshape(*shape, *given.shape[1:]),
+        diverged=np.concatenate([p[3] for p in parts]).reshape(shape),
+        duration=np.array([s.duration for s in scenarios]),
+    )
 
 
 def _extended(values: np.ndarray, length: int) -> np.ndarray:

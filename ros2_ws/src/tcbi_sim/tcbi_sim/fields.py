@@ -25,7 +25,9 @@ class CommandFields:
     def perfect(cls, count: int, joints: int) -> "CommandFields":
         """A link without any fault."""
         per_joint = [np.zeros((count, joints)) for _ in range(4)]
-        return cls(per_joint[0], per_joint[1], per_joint[2], np.zeros(count), per_joint[3], np.full((count, joints), np.inf))
+        return cls(
+            per_joint[0], per_joint[1], per_joint[2], np.zeros(count), per_joint[3], np.full((count, joints), np.inf)
+        )
 
 
 @dataclass

@@ -63,7 +63,9 @@ class Commands:
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or self.target.shape[:1] != self.time.shape:
-            raise SimError(f"commands need (K,) times and (K, J) targets, got {self.time.shape} and {self.target.shape}")
+            raise SimError(
+                f"commands need (K,) times and (K, J) targets, got {self.time.shape} and {self.target.shape}"
+            )
         if np.any(np.diff(self.time) <= 0):
             raise SimError("command times must increase strictly; sort the recording or drop the repeated ones")
 

@@ -38,7 +38,9 @@ class Model:
             slack = 1e-9 * (p.high - p.low)
             if not np.all((column >= p.low - slack) & (column <= p.high + slack)):
                 seen = column[(column < p.low) | (column > p.high) | np.isnan(column)][0]
-                raise SimError(f"model {self.version!r}: parameter {p.name!r} is {seen}, allowed is {p.low} to {p.high} {p.unit}")
+                raise SimError(
+                    f"model {self.version!r}: parameter {p.name!r} is {seen}, allowed is {p.low} to {p.high} {p.unit}"
+                )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -63,7 +65,9 @@ class Model:
 
     def mean(self) -> np.ndarray:
         """(P,) weighted means, on each parameter's own scale (a geometric mean for log scales)."""
-        units = np.stack([p.to_unit(column) for p, column in zip(self.parameters, self.particles.T, strict=True)], axis=-1)
+        units = np.stack(
+            [p.to_unit(column) for p, column in zip(self.parameters, self.particles.T, strict=True)], axis=-1
+        )
         return self.from_unit(self.weights @ units)
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -105,7 +109,13 @@ class Model:
         if log_weights is None:
             log_weights = np.full(len(particles), -np.log(len(particles)))
         return dataclasses.replace(
-            self, version=f"{self.saved_version}+", particles=particles, log_weights=log_weights, parent=self.saved_version, evidence=evidence, created=now()
+            self,
+            version=f"{self.saved_version}+",
+            particles=particles,
+            log_weights=log_weights,
+            parent=self.saved_version,
+            evidence=evidence,
+            created=now(),
         )
 
 
@@ -119,4 +129,6 @@ def base_model(rig: Rig | str) -> Model:
     rig = load_rig(rig) if isinstance(rig, str) else rig
     rng = np.random.default_rng(0)
     particles = np.stack([p.sample(rng, PRIOR_PARTICLES) for p in rig.parameters], axis=-1)
-    return Model(f"{rig.name}-v0", rig.name, (), rig.parameters, particles, np.full(PRIOR_PARTICLES, -np.log(PRIOR_PARTICLES)))
+    return Model(
+        f"{rig.name}-v0", rig.name, (), rig.parameters, particles, np.full(PRIOR_PARTICLES, -np.log(PRIOR_PARTICLES))
+    )

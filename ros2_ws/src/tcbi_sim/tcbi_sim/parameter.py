@@ -24,7 +24,9 @@ class Parameter:
         if self.scale not in ("linear", "log"):
             raise SimError(f"parameter {self.name!r}: scale {self.scale!r}, allowed is linear or log")
         if not self.low < self.high or (self.scale == "log" and self.low <= 0):
-            raise SimError(f"parameter {self.name!r}: bounds {self.low} to {self.high} do not suit a {self.scale} scale")
+            raise SimError(
+                f"parameter {self.name!r}: bounds {self.low} to {self.high} do not suit a {self.scale} scale"
+            )
         for label, value in (("nominal", self.nominal), ("null", self.null)):
             if value is not None and not self.low <= value <= self.high:
                 raise SimError(f"parameter {self.name!r}: {label} {value} lies outside {self.low} to {self.high}")

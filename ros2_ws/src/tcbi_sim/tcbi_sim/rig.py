@@ -49,7 +49,9 @@ class Rig:
     stand_height: float = 0.0  # m, trunk above the ground in the neutral stance
     contact_threshold: float = 0.0  # N
     rate: float = 50.0  # Hz, of its sensors
-    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)  # names for sets of joints, e.g. "coxa", "left middle leg"
+    groups: dict[str, tuple[str, ...]] = field(
+        default_factory=dict
+    )  # names for sets of joints, e.g. "coxa", "left middle leg"
     legs: dict[str, tuple[str, ...]] = field(default_factory=dict)  # leg -> its joints
 
     def index(self, joint: str) -> int:

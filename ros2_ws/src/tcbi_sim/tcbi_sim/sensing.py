@@ -1,7 +1,9 @@
 """From true signals to readings: mounting tilt, zero offsets, bias and latency of the sensors."""
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,15 +29,16 @@ class Samples:
         """The arrays with a time axis at position 1."""
         return tuple(f.name for f in dataclasses.fields(cls) if f.name != "time")
 
-    def map(self, change) -> "Samples":
+    def map(self, change: Callable[[np.ndarray], np.ndarray]) -> "Samples":
         """The same with `change` applied to every array that is there, `time` left alone."""
         values = {n: getattr(self, n) for n in self.names()}
-        return dataclasses.replace(self, **{n: None if v is None else change(v) for n, v in values.items()})
+        changed: dict[str, Any] = {n: None if v is None else change(v) for n, v in values.items()}
+        return dataclasses.replace(self, **changed)
 
     @staticmethod
     def concatenate(parts: "list[Samples]") -> "Samples":
         """Consecutive samples joined along time."""
-        joined = {"time": np.concatenate([p.time for p in parts])}
+        joined: dict[str, Any] = {"time": np.concatenate([p.time for p in parts])}
         for name in Samples.names():
             first = getattr(parts[0], name)
             joined[name] = None if first is None else np.concatenate([getattr(p, name) for p in parts], axis=1)
@@ -70,7 +73,9 @@ def sense(raw: Samples, fields: SensingFields) -> Samples:
     if raw.angular_velocity is not None:
         sensed.angular_velocity = raw.angular_velocity + fields.gyro_bias[:, None, :]
     if raw.attitude is not None and fields.imu_tilt.any():
-        tilt = quaternion_from_rpy(fields.imu_tilt[:, 0], fields.imu_tilt[:, 1], np.zeros(len(fields.imu_tilt)))[:, None, :]
+        tilt = quaternion_from_rpy(fields.imu_tilt[:, 0], fields.imu_tilt[:, 1], np.zeros(len(fields.imu_tilt)))[
+            :, None, :
+        ]
         sensed.attitude = multiply(raw.attitude, tilt)
         tilted = np.broadcast_to(tilt, raw.attitude.shape)
         for name in ("angular_velocity", "linear_acceleration"):

@@ -16,13 +16,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import xarray as xr
 
 from tcbi_sim.errors import SimError, UnknownNameError
-from tcbi_sim.model import Model, base_model, now
 from tcbi_sim.mjcf import to_xml
+from tcbi_sim.model import Model, base_model, now
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rigs import RIGS
 
@@ -55,7 +54,7 @@ class ModelStore:
         return path
 
     def versions(self, rig: str | None = None) -> list[str]:
-        """Known versions, version 0 first: built-in ones of the given rig (or of all), then the saved ones by number."""
+        """Known versions of a rig (or of all): version 0, which is built in, then the saved ones by number."""
         built_in = [f"{name}-v0" for name in RIGS if rig in (None, name)]
         saved = [p.name for p in self.models.glob("*-v*") if (p / "model.json").is_file()]
         if rig:
@@ -90,7 +89,9 @@ class ModelStore:
                     return named
                 except OSError as e:
                     if not (self.models / named.version).exists():
-                        raise StoreError(f"cannot write {self.models / named.version}: {e.strerror}; free space or choose --store") from e
+                        raise StoreError(
+                            f"cannot write {self.models / named.version}: {e.strerror}; free space or choose --store"
+                        ) from e
         finally:
             shutil.rmtree(work, ignore_errors=True)
 
@@ -136,9 +137,16 @@ class ModelStore:
             with xr.open_dataset(folder / "posterior.nc", group="particles") as particles:
                 values, log_weights = particles["value"].values, particles["log_weight"].values
             model = Model(
-                head["version"], head["rig"], tuple(head["effects"]), tuple(Parameter(**p) for p in head["parameters"]),
-                values, log_weights, head["parent"], head["evidence"], head["created"],
-            )  # fmt: skip
+                head["version"],
+                head["rig"],
+                tuple(head["effects"]),
+                tuple(Parameter(**p) for p in head["parameters"]),
+                values,
+                log_weights,
+                head["parent"],
+                head["evidence"],
+                head["created"],
+            )
             model.uses()  # every effect must be known here
             return model
         except (OSError, KeyError, TypeError, ValueError) as e:

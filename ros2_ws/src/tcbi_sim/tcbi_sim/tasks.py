@@ -41,7 +41,7 @@ def draw_forward(rng: np.random.Generator, seed: int = 0) -> Scenario:
         height = rng.uniform(*BLOCK_HEIGHT)
         size = (rng.uniform(*BLOCK_LENGTH), rng.uniform(*BLOCK_LENGTH), height)
         center = (rng.uniform(0.45, 2.0), rng.uniform(-0.6, 0.6), height / 2)
-        blocks.append(Block(tuple(map(float, center)), tuple(map(float, size)), float(rng.uniform(-math.pi, math.pi))))
+        blocks.append(Block(center, size, rng.uniform(-math.pi, math.pi)))
     return Scenario("forward", 30.0, 0.0, 0.0, tuple(blocks), _posture(rng), seed=seed)
 
 

@@ -52,7 +52,9 @@ def find_use(key: str, rig: Rig) -> EffectUse:
         raise SimError(f"effect {name!r} does not suit the rig {rig.name!r}: {why_not}")
     sites = effect.sites(rig)
     if site not in sites:
-        raise SimError(f"effect {name!r} needs one of the sites {', '.join(sites) or 'none'}, got {site!r}; write e.g. {name}:{sites[0]}")
+        raise SimError(
+            f"effect {name!r}: site {site!r}, allowed is one of {', '.join(map(repr, sites))}; write name:site"
+        )
     return EffectUse(effect, site)
 
 

@@ -16,9 +16,17 @@ def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
     for name in rig.joint_names:
         hinge = spec.joint(name)
         hinge.parent.add_joint(
-            name=f"{name}/play", type=mujoco.mjtJoint.mjJNT_HINGE, axis=hinge.axis, pos=hinge.pos, limited=True, range=[-GAP, GAP],
-            damping=[PLAY_DAMPING, 0, 0], armature=1e-5, solref_limit=[0.004, 1.0], solimp_limit=[0.99, 0.999, 0.001, 0.5, 2.0],
-        )  # fmt: skip
+            name=f"{name}/play",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=hinge.axis,
+            pos=hinge.pos,
+            limited=True,
+            range=[-GAP, GAP],
+            damping=[PLAY_DAMPING, 0, 0],
+            armature=1e-5,
+            solref_limit=[0.004, 1.0],
+            solimp_limit=[0.99, 0.999, 0.001, 0.5, 2.0],
+        )
 
 
 def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
@@ -30,10 +38,15 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="backlash",
-    physics="Between the flanks of the gears, and in horn and screws, a link moves freely within a small angle. It hangs on one "
-    "side under load and flips when the load reverses, which the servo's own encoder does not see: feet land early or late.",
-    source="Nordin and Gutman, Controlling mechanical systems with backlash: a survey, Automatica 38 (2002); MuJoCo: a second hinge "
-    "of small range in series",
+    physics=(
+        "Between the flanks of the gears, and in horn and screws, a link moves freely within a small angle. It hangs "
+        "on one side under load and flips when the load reverses, which the servo's own encoder does not see: feet "
+        "land early or late."
+    ),
+    source=(
+        "Nordin and Gutman, Controlling mechanical systems with backlash: a survey, Automatica 38 (2002); MuJoCo: a "
+        "second hinge of small range in series"
+    ),
     parameters=(Parameter("gap", "rad", 0.0, 0.1, 0.03, null=0.0, description="full free angle of each joint"),),
     apply=apply,
     edit=edit,

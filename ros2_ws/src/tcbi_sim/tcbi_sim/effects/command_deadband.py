@@ -12,10 +12,14 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="command_deadband",
-    physics="Servo firmware ignores a new target that differs too little from the last one it took. Small dithers vanish while large "
-    "moves arrive whole.",
+    physics=(
+        "Servo firmware ignores a new target that differs too little from the last one it took. Small dithers vanish "
+        "while large moves arrive whole."
+    ),
     source="Feetech STS memory table, dead zone registers (26, 27)",
-    parameters=(Parameter("angle", "rad", 0.0, 0.1, 0.02, null=0.0, description="smallest change of a target that is taken"),),
+    parameters=(
+        Parameter("angle", "rad", 0.0, 0.1, 0.02, null=0.0, description="smallest change of a target that is taken"),
+    ),
     apply=apply,
     requires=position_servos,
 )

@@ -12,13 +12,15 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="coulomb_friction",
-    physics="Gears and bushings resist motion with a torque that does not depend on speed. Small errors of the position loop "
-    "stay below it and are never corrected, so joints stop short of their target and stick at reversals.",
-    source="Olsson et al., Friction models and friction compensation, European Journal of Control 4 (1998), section 2.1; "
-    "MuJoCo: joint/frictionloss",
-    parameters=(
-        Parameter("torque", "N m", 0.0, 0.15, 0.03, null=0.0, description="friction torque of each joint"),
+    physics=(
+        "Gears and bushings resist motion with a torque that does not depend on speed. Small errors of the position "
+        "loop stay below it and are never corrected, so joints stop short of their target and stick at reversals."
     ),
+    source=(
+        "Olsson et al., Friction models and friction compensation, European Journal of Control 4 (1998), section 2.1;"
+        " MuJoCo: joint/frictionloss"
+    ),
+    parameters=(Parameter("torque", "N m", 0.0, 0.15, 0.03, null=0.0, description="friction torque of each joint"),),
     apply=apply,
     requires=lambda rig: "its own model already has it (parameter friction)" if rig.name == "servo_bench" else "",
 )

@@ -14,11 +14,14 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="gyro_bias",
-    physics="Micromachined gyroscopes read a constant rate at rest that changes with temperature. Body rates are off by the same "
-    "amount at every moment.",
+    physics=(
+        "Micromachined gyroscopes read a constant rate at rest that changes with temperature. Body rates are off by "
+        "the same amount at every moment."
+    ),
     source="Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd edition (2004), chapter 4",
     parameters=tuple(
-        Parameter(axis, "rad/s", -0.1, 0.1, 0.02, null=0.0, description=f"about the IMU's {axis} axis") for axis in "xyz"
+        Parameter(axis, "rad/s", -0.1, 0.1, 0.02, null=0.0, description=f"about the IMU's {axis} axis")
+        for axis in "xyz"
     ),
     apply=apply,
     requires=rig_with_imu,

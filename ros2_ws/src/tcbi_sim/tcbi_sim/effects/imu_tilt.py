@@ -14,9 +14,14 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="imu_tilt",
-    physics="A board glued a little askew shows a lean that is not there, the same at every moment, and mixes the axes of rates and "
-    "accelerations. The joints fit, the attitude does not.",
-    source="Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd edition (2004), chapter 8 (mounting misalignment)",
+    physics=(
+        "A board glued a little askew shows a lean that is not there, the same at every moment, and mixes the axes of"
+        " rates and accelerations. The joints fit, the attitude does not."
+    ),
+    source=(
+        "Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd edition (2004), chapter 8 (mounting "
+        "misalignment)"
+    ),
     parameters=(
         Parameter("roll", "rad", -0.15, 0.15, 0.03, null=0.0, description="of the IMU against the trunk"),
         Parameter("pitch", "rad", -0.15, 0.15, 0.03, null=0.0, description="of the IMU against the trunk"),

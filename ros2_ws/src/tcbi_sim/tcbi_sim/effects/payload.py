@@ -24,9 +24,13 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="payload",
-    physics="A battery, camera or cable adds weight at a place. All legs carry more, those near it most, and the trunk leans "
-    "towards it; on a slope more so.",
-    source="Atkeson, An and Hollerbach, Estimation of inertial parameters of manipulator loads and links, IJRR 5 (1986)",
+    physics=(
+        "A battery, camera or cable adds weight at a place. All legs carry more, those near it most, and the trunk "
+        "leans towards it; on a slope more so."
+    ),
+    source=(
+        "Atkeson, An and Hollerbach, Estimation of inertial parameters of manipulator loads and links, IJRR 5 (1986)"
+    ),
     parameters=(
         Parameter("mass", "kg", 0.0, 0.5, 0.15, null=0.0, description="added to the trunk, 30 mm above its middle"),
         Parameter("x", "m", -0.1, 0.1, 0.0, description="forward of the trunk's middle"),

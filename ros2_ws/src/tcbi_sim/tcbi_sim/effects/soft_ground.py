@@ -13,8 +13,10 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="soft_ground",
-    physics="Foam, carpet or rubber feet let a foot sink and spring back over tens of milliseconds. The trunk settles after each step "
-    "and contacts come late.",
+    physics=(
+        "Foam, carpet or rubber feet let a foot sink and spring back over tens of milliseconds. The trunk settles "
+        "after each step and contacts come late."
+    ),
     source="MuJoCo: solver parameters (solref time constant)",
     parameters=(Parameter("time_constant", "s", 0.0, 0.08, 0.02, null=0.0, description="added to the contact's own"),),
     apply=apply,

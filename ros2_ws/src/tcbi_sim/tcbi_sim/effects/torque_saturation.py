@@ -16,8 +16,10 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="torque_saturation",
-    physics="Current limits, supply and worn motors cap the torque below the data sheet's stall torque. Loaded joints follow well up "
-    "to a load and then give way, while unloaded ones show nothing.",
+    physics=(
+        "Current limits, supply and worn motors cap the torque below the data sheet's stall torque. Loaded joints "
+        "follow well up to a load and then give way, while unloaded ones show nothing."
+    ),
     source="Feetech STS maker's sheets (stall torque against supply voltage); MuJoCo: actuator/forcerange",
     parameters=(
         Parameter("share", "1", 0.1, 1.0, 0.6, null=1.0, scale="log", description="of the torque limit that is left"),

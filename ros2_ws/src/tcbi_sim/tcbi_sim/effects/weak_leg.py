@@ -12,8 +12,10 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 EFFECT = Effect(
     name="weak_leg",
-    physics="A worn or badly supplied leg yields more than the others under the same load. Its joints sag in stance and the trunk "
-    "leans to its side.",
+    physics=(
+        "A worn or badly supplied leg yields more than the others under the same load. Its joints sag in stance and "
+        "the trunk leans to its side."
+    ),
     source="single-leg fault model as in Cully et al., Robots that can adapt like animals, Nature 521 (2015)",
     parameters=(
         Parameter("scale", "1", 0.2, 1.5, 0.6, null=1.0, scale="log", description="of the other servos' stiffness"),

@@ -14,7 +14,14 @@ from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Noise, Rig, Values
 
-SIDES = {"lf": "left front", "lm": "left middle", "lr": "left rear", "rf": "right front", "rm": "right middle", "rr": "right rear"}
+SIDES = {
+    "lf": "left front",
+    "lm": "left middle",
+    "lr": "left rear",
+    "rf": "right front",
+    "rm": "right middle",
+    "rr": "right rear",
+}
 GROUND, ROBOT = 1, 2  # collision bits
 TRUNK_COLOR, LINK_COLOR = [0.16, 0.20, 0.27, 1.0], [0.93, 0.60, 0.20, 1.0]
 FOOT_COLOR, BLOCK_COLOR = [0.08, 0.08, 0.09, 1.0], [0.55, 0.45, 0.35, 1.0]
@@ -81,7 +88,9 @@ def hexapod_rig() -> Rig:
 
 def apply(fields: Fields, values: Values, constants: Values) -> None:
     """Friction of ground and blocks, mass of all links in proportion, stiffness of all servos."""
-    ground = [fields.geom("ground")] + [g for g in range(fields.mj.ngeom) if fields.mj.geom(g).name.startswith("block_")]
+    ground = [fields.geom("ground")] + [
+        g for g in range(fields.mj.ngeom) if fields.mj.geom(g).name.startswith("block_")
+    ]
     fields.model["geom_friction"][:, ground, 0] = values["friction"][:, None]
     robot = slice(fields.body("base_link"), None)
     factor = (values["mass"] / fields.mj.body_mass[robot].sum())[:, None]
@@ -114,27 +123,46 @@ def _add_scene(spec: mujoco.MjSpec, blocks: int) -> None:
     contact, friction = dimensions()["contact"], dimensions()["nominal"]["friction"]
     rubbing = [friction, contact["torsional_friction"], contact["rolling_friction"]]
     spec.add_texture(
-        name="grid", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        width=256, height=256, rgb1=[0.86, 0.88, 0.90], rgb2=[0.78, 0.81, 0.84],
-    )  # fmt: skip
+        name="grid",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        width=256,
+        height=256,
+        rgb1=[0.86, 0.88, 0.90],
+        rgb2=[0.78, 0.81, 0.84],
+    )
     material = spec.add_material(name="grid", texrepeat=[5, 5], texuniform=True)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
     spec.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        width=256, height=256, rgb1=[0.95, 0.97, 1.0], rgb2=[0.70, 0.78, 0.86],
-    )  # fmt: skip
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        width=256,
+        height=256,
+        rgb1=[0.95, 0.97, 1.0],
+        rgb2=[0.70, 0.78, 0.86],
+    )
     spec.worldbody.add_light(pos=[0.5, -0.5, 2.0], dir=[-0.25, 0.25, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     ground = spec.worldbody.add_body(name="ground")
     same = dict(
-        contype=GROUND, conaffinity=ROBOT, condim=3, friction=rubbing, priority=1,
-        solref=contact["solref"], solimp=contact["solimp"],
-    )  # fmt: skip
+        contype=GROUND,
+        conaffinity=ROBOT,
+        condim=3,
+        friction=rubbing,
+        priority=1,
+        solref=contact["solref"],
+        solimp=contact["solimp"],
+    )
     ground.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[10, 10, 0.05], material="grid", **same)
     for i in range(blocks):
         ground.add_geom(
-            name=f"block_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.05, 0.05, 0.03],
-            pos=[0, 0, -5 - i], rgba=BLOCK_COLOR, **same,
-        )  # fmt: skip
+            name=f"block_{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.05, 0.05, 0.03],
+            pos=[0, 0, -5 - i],
+            rgba=BLOCK_COLOR,
+            **same,
+        )
 
 
 def _solid(**extra: Any) -> dict[str, Any]:
@@ -150,12 +178,22 @@ def _add_trunk(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     _set_inertia(body, trunk["mass"], [0, 0, 0], _box_inertia(trunk["mass"], trunk["size"]))
     body.add_geom(name="trunk", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=TRUNK_COLOR, **_solid())
     body.add_geom(
-        name="nose", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.012, 0.02, 0.008], pos=[half[0], 0, half[2]],
-        rgba=LINK_COLOR, contype=0, conaffinity=0, mass=0,
-    )  # fmt: skip
+        name="nose",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[0.012, 0.02, 0.008],
+        pos=[half[0], 0, half[2]],
+        rgba=LINK_COLOR,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
     body.add_site(name=IMU_FRAME, pos=trunk["imu_position"], size=[0.005] * 3)
-    body.add_camera(name="follow", pos=[-0.55, -0.65, 0.55], mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
-                    xyaxes=[0.76, -0.65, 0, 0.36, 0.42, 0.83])  # fmt: skip
+    body.add_camera(
+        name="follow",
+        pos=[-0.55, -0.65, 0.55],
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
+        xyaxes=[0.76, -0.65, 0, 0.36, 0.42, 0.83],
+    )
     return body
 
 
@@ -165,9 +203,7 @@ def _add_leg(spec: mujoco.MjSpec, trunk: mujoco.MjsBody, leg: str) -> None:
     turn = hip["direction"]
     # x of a leg's frames points outward; a forward swing turns a left leg clockwise seen from above, a right one the other way
     forward = -1.0 if leg.startswith("l") else 1.0
-    coxa = trunk.add_body(
-        name=f"{leg}_coxa", pos=hip["position"], quat=[math.cos(turn / 2), 0, 0, math.sin(turn / 2)]
-    )
+    coxa = trunk.add_body(name=f"{leg}_coxa", pos=hip["position"], quat=[math.cos(turn / 2), 0, 0, math.sin(turn / 2)])
     _add_hinge(spec, coxa, f"{leg}_coxa", [0, 0, forward])
     _add_link(coxa, leg, "coxa", [size["coxa_length"], 0, 0], size["coxa_mass"])
     femur = coxa.add_body(name=f"{leg}_femur", pos=[size["coxa_length"], 0, 0])
@@ -179,11 +215,19 @@ def _add_leg(spec: mujoco.MjSpec, trunk: mujoco.MjsBody, leg: str) -> None:
     foot = size["tibia_length"] * np.array([math.sin(size["tibia_tilt"]), 0, -math.cos(size["tibia_tilt"])])
     _add_link(tibia, leg, "tibia", foot, size["tibia_mass"])
     tibia.add_geom(
-        name=f"{leg}_foot", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[size["foot_radius"], 0, 0], pos=foot,
-        rgba=FOOT_COLOR, **_solid(),
-    )  # fmt: skip
+        name=f"{leg}_foot",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[size["foot_radius"], 0, 0],
+        pos=foot,
+        rgba=FOOT_COLOR,
+        **_solid(),
+    )
     tibia.add_site(
-        name=f"{leg}_foot", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[size["foot_radius"] * 1.5, 0, 0], pos=foot, rgba=[0, 0, 0, 0]
+        name=f"{leg}_foot",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[size["foot_radius"] * 1.5, 0, 0],
+        pos=foot,
+        rgba=[0, 0, 0, 0],
     )
 
 
@@ -191,9 +235,14 @@ def _add_hinge(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, axis: list[
     d = dimensions()
     servo, limit = d["servo"], d["joint"]["range"]
     body.add_joint(
-        name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, damping=[servo["damping"], 0, 0], armature=servo["armature"],
-        limited=True, range=[-limit - 0.05, limit + 0.05],  # mechanical stops just behind the commanded range
-    )  # fmt: skip
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=axis,
+        damping=[servo["damping"], 0, 0],
+        armature=servo["armature"],
+        limited=True,
+        range=[-limit - 0.05, limit + 0.05],  # mechanical stops just behind the commanded range
+    )
     actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.set_to_position(kp=d["nominal"]["gain"])
     actuator.forcelimited = True
@@ -206,9 +255,13 @@ def _add_link(body: mujoco.MjsBody, leg: str, name: str, end: Any, mass: float) 
     length = float(np.linalg.norm(end))
     _set_inertia(body, mass, end / 2, _rod_inertia(mass, radius, end))
     body.add_geom(
-        name=f"{leg}_{name}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[radius * (0.7 if name == "tibia" else 1.0), 0, 0],
-        fromto=[*(end * min(1, 0.004 / length)), *(end * 0.96)], rgba=LINK_COLOR, **_solid(),
-    )  # fmt: skip
+        name=f"{leg}_{name}",
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        size=[radius * (0.7 if name == "tibia" else 1.0), 0, 0],
+        fromto=[*(end * min(1, 0.004 / length)), *(end * 0.96)],
+        rgba=LINK_COLOR,
+        **_solid(),
+    )
 
 
 def _set_inertia(body: mujoco.MjsBody, mass: float, center: Any, inertia: np.ndarray) -> None:
@@ -235,7 +288,10 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
     site = mujoco.mjtObj.mjOBJ_SITE
     for joint in JOINTS:
         spec.add_sensor(
-            name=f"position/{joint}", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint
+            name=f"position/{joint}",
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=joint,
         )
     for name, kind in (
         ("attitude", mujoco.mjtSensor.mjSENS_FRAMEQUAT),

@@ -1,7 +1,7 @@
 """A servo test bench: one position servo, one arm, one mass; zero hangs down.
 
-Constants of a recording: `mass` (kg, at the arm's end), `length` (m), `kp` (the servo's own proportional gain, in its own
-units). What the base model holds is a stiffness per unit of kp, viscous damping and Coulomb friction.
+Constants of a recording: `mass` (kg, at the arm's end), `length` (m), `kp` (the servo's own proportional gain, in its
+own units). What the base model holds is a stiffness per unit of kp, viscous damping and Coulomb friction.
 """
 
 import functools
@@ -26,9 +26,15 @@ def servo_bench_rig() -> Rig:
         name="servo_bench",
         joint_names=(JOINT,),
         parameters=(
-            Parameter("gain", "N m/rad/kp", 2e-4, 5e-2, 4e-3, scale="log", description="stiffness per unit of the servo's kp"),
-            Parameter("damping", "N m s/rad", 1e-3, 0.3, 0.03, scale="log", description="viscous friction, back-EMF included"),
-            Parameter("friction", "N m", 1e-3, 0.2, 0.02, scale="log", description="Coulomb friction of motor and gears"),
+            Parameter(
+                "gain", "N m/rad/kp", 2e-4, 5e-2, 4e-3, scale="log", description="stiffness per unit of the servo's kp"
+            ),
+            Parameter(
+                "damping", "N m s/rad", 1e-3, 0.3, 0.03, scale="log", description="viscous friction, back-EMF included"
+            ),
+            Parameter(
+                "friction", "N m", 1e-3, 0.2, 0.02, scale="log", description="Coulomb friction of motor and gears"
+            ),
         ),
         build=build,
         apply=apply,
@@ -49,20 +55,33 @@ def build(blocks: int = 0) -> mujoco.MjSpec:
     spec.worldbody.add_light(pos=[0, -1, 1])
     arm = spec.worldbody.add_body(name="arm", pos=[0, 0, 0.3])
     arm.add_joint(
-        name=JOINT, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, -1, 0], damping=[0.03, 0, 0], armature=ARMATURE, frictionloss=0.02
+        name=JOINT,
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=[0, -1, 0],
+        damping=[0.03, 0, 0],
+        armature=ARMATURE,
+        frictionloss=0.02,
     )
     arm.explicitinertial = True
     arm.mass, arm.ipos, arm.inertia = MASS, [0, 0, -LENGTH], [1e-5] * 3
     arm.add_geom(
-        name="rod", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.005, 0, 0], fromto=[0, 0, 0, 0, 0, -LENGTH], mass=0,
-        contype=0, conaffinity=0,
-    )  # fmt: skip
+        name="rod",
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        size=[0.005, 0, 0],
+        fromto=[0, 0, 0, 0, 0, -LENGTH],
+        mass=0,
+        contype=0,
+        conaffinity=0,
+    )
     actuator = spec.add_actuator(name=JOINT, target=JOINT, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.set_to_position(kp=1.0)
     actuator.forcelimited = True
     actuator.forcerange = [-TORQUE_LIMIT, TORQUE_LIMIT]
     spec.add_sensor(
-        name=f"position/{JOINT}", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=JOINT
+        name=f"position/{JOINT}",
+        type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        objname=JOINT,
     )
     return spec
 
