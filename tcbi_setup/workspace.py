@@ -69,6 +69,7 @@ def _variables() -> dict[str, str]:
         "HOME": os.environ.get("HOME", str(WORKSPACE)),
         "LANG": "C.UTF-8",
         "PYTHONWARNINGS": "ignore",
+        "MAKEFLAGS": f"-j{os.cpu_count() or 2}",  # colcon's own choice waits whenever the machine is loaded
     }
     for name in ("TMPDIR", "CC", "CXX", "CMAKE_GENERATOR"):
         if name in os.environ:

@@ -159,10 +159,16 @@ class _Supervised:
         self.failures += 1
         if self.failures >= (CONFIGURATION_TRIES if code == 1 else TRIES):
             reason = f"{self.what.key} failed {self.failures} times in a row, last with {describe_exit(code)}"
+            reason += "".join(f": {line}" for line in self.last_lines(1))
             self.status = replace(self.status, state="given up", reason=reason)
             return
         self.retry_at = time.monotonic() + min(FIRST_PAUSE_S * 2 ** (self.failures - 1), LONGEST_PAUSE_S)
         self.status = replace(self.status, state="waiting")
+
+    def last_lines(self, count: int) -> list[str]:
+        """The last lines that its latest start has written."""
+        text = self.log.read_text(encoding="utf-8", errors="replace") if self.log.exists() else ""
+        return text.rpartition(LOG_MARK)[2].strip().splitlines()[1:][-count:]
 
     def retry(self, environment: Mapping[str, str]) -> None:
         if self.status.state == "waiting" and self.process is None and time.monotonic() >= self.retry_at:
@@ -287,8 +293,7 @@ class Graph:
 
     def tail(self, name: str, lines: int = 5) -> str:
         """The last lines that its latest start has written."""
-        latest = self.log(name).rpartition(LOG_MARK)[2].strip().splitlines()[1:]
-        return "\n".join(latest[-lines:])
+        return "\n".join(self._all[name].last_lines(lines))
 
     def check(self) -> None:
         """Raise LaunchError if a process has failed, with the last lines of its log."""

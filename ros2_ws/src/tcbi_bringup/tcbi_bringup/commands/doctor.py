@@ -1,0 +1,49 @@
+"""`./tcbi doctor`: what is well and what is not, and what to do about it."""
+
+import argparse
+import os
+from pathlib import Path
+
+from tcbi_bringup.commands import console
+
+SUMMARY = "Check environment, versions, build, disk, rendering, ports, and the topics and rates of a running graph."
+DEFAULT_STORE = "~/.local/share/tcbi"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to look at."""
+    parser.add_argument("--port", default="", help="check this serial port; default: all that are present")
+    parser.add_argument("--namespace", default="", help="of the running graph")
+    parser.add_argument("--no-graph", action="store_true", help="leave out the running graph (saves seven seconds)")
+    console.add_store(parser)
+    console.add_json(parser)
+    console.add_examples(
+        parser, "./tcbi doctor", "./tcbi doctor --port /dev/rfcomm0", "ROS_DOMAIN_ID=7 ./tcbi doctor --json"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """All checks; 1 if there is a fault."""
+    from tcbi_bringup.doctor import FAULT, WARNING, environment_checks, port_checks
+    from tcbi_bringup.domain_lock import present_domain
+    from tcbi_bringup.graph_check import graph_checks
+
+    checks = [*environment_checks(store_folder(args.store)), *port_checks(args.port)]
+    if not args.no_graph and not any(c.name in ("interfaces", "domain") and c.status == FAULT for c in checks):
+        checks += graph_checks(present_domain(), args.namespace)
+    faults = sum(c.status == FAULT for c in checks)
+    warnings = sum(c.status == WARNING for c in checks)
+    if args.json:
+        console.emit({"faults": faults, "warnings": warnings, "checks": checks})
+        return 1 if faults else 0
+    for check in checks:
+        print(f"{check.status:8} {check.name}: {check.found}")
+        if check.remedy:
+            print(f"{'':8}   -> {check.remedy}")
+    print(f"{faults} faults, {warnings} warnings")
+    return 1 if faults else 0
+
+
+def store_folder(given: Path | None) -> Path:
+    """Where models and rollouts are kept."""
+    return given or Path(os.path.expanduser(os.environ.get("TCBI_STORE") or DEFAULT_STORE))

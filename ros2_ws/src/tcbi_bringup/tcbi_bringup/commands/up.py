@@ -1,0 +1,146 @@
+"""`./tcbi up`: starts the graph, shows it, keeps it running, and ends it."""
+
+import argparse
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from tcbi_bringup.commands import console
+
+SUMMARY = "Start the graph of nodes on a simulation, an emulated robot or a real one; Ctrl-C stops all of it."
+PORT_S = 20.0  # time an emulated robot has to open its port
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to start."""
+    parser.add_argument("--robot", default="sim", metavar="sim|emulated|PORT", help="default: sim")
+    parser.add_argument("--task", default="", help="terrain that the simulation starts with: balance or forward")
+    parser.add_argument(
+        "--policy", default="", help="what acts: a .safetensors file, a policy of the store, or gait:NAME"
+    )
+    parser.add_argument("--model", default="latest", help="model version to simulate (default: latest)")
+    parser.add_argument("--lockstep", action="store_true", help="simulate as fast as it goes, with /clock (sim only)")
+    parser.add_argument("--namespace", default="", help="put before every topic, for several robots in one domain")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulation or the emulated robot (default: 0)")
+    parser.add_argument("--no-learning", action="store_true", help="leave out the inference and the retrain node")
+    parser.add_argument(
+        "--log-dir", type=Path, help="where the processes' logs go (default: a new folder, named at start)"
+    )
+    console.add_store(parser)
+    console.add_examples(
+        parser,
+        "./tcbi up",
+        "./tcbi up --robot emulated --policy gait:tripod",
+        "./tcbi up --robot /dev/rfcomm0",
+        "ROS_DOMAIN_ID=7 ./tcbi up --lockstep --task forward",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Start, show until the end is asked for, stop."""
+    from tcbi_bringup.domain_lock import hold_domain, present_domain, refuse_second_graph
+    from tcbi_bringup.graph_monitor import GraphMonitor
+    from tcbi_bringup.launcher import Graph
+    from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes
+
+    options = GraphOptions(
+        robot=args.robot,
+        task=args.task,
+        policy=args.policy,
+        model=args.model,
+        lockstep=args.lockstep,
+        namespace=args.namespace.strip("/"),
+        store=args.store.resolve() if args.store else None,
+        seed=args.seed,
+        learning=not args.no_learning,
+    )
+    options.check()
+    domain, folder = present_domain(), log_folder(args.log_dir)
+    asked = end_requests()
+    with hold_domain(domain, options.namespace), GraphMonitor(domain, options.namespace) as monitor:
+        refuse_second_graph(monitor, domain, options.namespace)
+        port = folder / "port"
+        robot = robot_processes(options, port)
+        with Graph([], domain_id=domain, log_dir=folder, restart=True) as graph:
+            for process in robot:
+                graph.start(process)
+                if not process.ros:
+                    wait_for_port(port, graph, asked)
+            for process in companion_processes(options):
+                graph.start(process)
+            failure = watch(graph, monitor, options, f"ROS domain {domain}, logs in {folder}", asked)
+            console.note("stopping")
+            codes = graph.stop()
+    return report(failure, codes)
+
+
+def log_folder(given: Path | None) -> Path:
+    """A new folder for the logs of this run."""
+    base = Path(os.environ.get("ROS_LOG_DIR") or Path.home() / ".ros" / "log")
+    folder = given or base / f"up-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def end_requests() -> Callable[[], bool]:
+    """Take Ctrl-C and SIGTERM as the wish to end; the result says whether one has come. A second one interrupts."""
+    came: list[int] = []
+
+    def on_signal(number: int, _: object) -> None:
+        came.append(number)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    signal.signal(signal.SIGINT, on_signal)
+    signal.signal(signal.SIGTERM, on_signal)
+    return lambda: bool(came)
+
+
+def wait_for_port(port: Path, graph, asked: Callable[[], bool]) -> None:
+    """Wait until an emulated robot has opened its serial port."""
+    from tcbi_bringup.errors import LaunchError
+
+    deadline = time.monotonic() + PORT_S
+    while not port.exists() and not asked():
+        for status in graph.status():
+            if status.state == "given up":
+                raise LaunchError(graph.explain(status))
+        if time.monotonic() > deadline:
+            raise LaunchError(f"the emulated robot opened no port within {PORT_S:g} s; see {graph.log_dir}")
+        time.sleep(0.05)
+
+
+def watch(graph, monitor, options, title: str, asked: Callable[[], bool]) -> str:
+    """Show the graph until its end is asked for; returns why it cannot go on, or ""."""
+    from tcbi_bringup.expectations import EXPECTATIONS
+    from tcbi_bringup.live_view import show
+
+    monitor.watch({expected.topic: expected.type_name for expected in EXPECTATIONS})
+    lost: list[str] = []
+
+    def goes_on() -> bool:
+        for status in graph.status():
+            if status.state == "given up" and status.essential and not lost:
+                lost.append(graph.explain(status))
+        return not asked() and not lost
+
+    show(f"{options.robot}: {title}", lambda: (graph.status(), monitor.rates()), goes_on)
+    for status in graph.status():
+        if status.state == "given up" and not status.essential:
+            console.note(graph.explain(status))
+    return lost[0] if lost else ""
+
+
+def report(failure: str, codes: dict[str, int]) -> int:
+    """The last line and the exit status."""
+    from tcbi_bringup.errors import LaunchError
+    from tcbi_bringup.launcher import describe_exit
+
+    if failure:
+        raise LaunchError(failure)
+    unclean = {name: code for name, code in codes.items() if code}
+    for name, code in unclean.items():
+        console.note(f"{name} ended with {describe_exit(code)}")
+    console.note(f"all {len(codes)} processes stopped")
+    return 0

@@ -1,0 +1,81 @@
+"""One graph per ROS domain and namespace: two would mix their topics without a word."""
+
+import fcntl
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tcbi_bringup.errors import LaunchError, SecondGraphError
+from tcbi_bringup.graph_monitor import GraphMonitor
+
+OWN_NODES = ("sim_node", "driver_node", "policy_node", "recorder_node", "inference_node", "retrain_node")
+DISCOVERY_S = 2.5
+DOMAINS = range(0, 233)
+REMEDY = "stop that one, or choose another domain (ROS_DOMAIN_ID=1 ./tcbi up …) or another --namespace"
+
+
+def present_domain() -> int:
+    """ROS_DOMAIN_ID, 0 if it is not set.
+
+    Raises:
+      LaunchError: it is not a domain.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) not in DOMAINS:
+        raise LaunchError(
+            f"ROS_DOMAIN_ID: got {text!r}, allowed is an integer from 0 to {DOMAINS[-1]}; set it or unset it"
+        )
+    return int(text)
+
+
+@contextmanager
+def hold_domain(domain_id: int, namespace: str = "") -> Iterator[None]:
+    """Keep other launchers on this host out of a domain and namespace.
+
+    Raises:
+      SecondGraphError: one holds it already.
+    """
+    name = (
+        f"tcbi-{os.getuid()}-domain-{domain_id}{'-' + namespace.strip('/').replace('/', '-') if namespace else ''}.lock"
+    )
+    path = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / name
+    with path.open("a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read().strip() or "unknown"
+            raise SecondGraphError(
+                f"a graph already runs in ROS domain {domain_id}{_in(namespace)} (process {holder}); {REMEDY}"
+            ) from None
+        file.truncate(0)
+        file.write(f"{os.getpid()}\n")
+        file.flush()
+        yield
+        file.truncate(0)
+
+
+def refuse_second_graph(
+    monitor: GraphMonitor, domain_id: int, namespace: str = "", patience_s: float = DISCOVERY_S
+) -> None:
+    """Look for the nodes of another graph, which may run on another machine, for as long as discovery takes.
+
+    Raises:
+      SecondGraphError: names the nodes found.
+    """
+    prefix = f"/{namespace.strip('/')}/" if namespace else "/"
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline:
+        found = sorted({prefix + name for name in OWN_NODES} & monitor.node_names())
+        if found:
+            raise SecondGraphError(
+                f"a graph already runs in ROS domain {domain_id}{_in(namespace)}: found {', '.join(found)}; {REMEDY}"
+            )
+        time.sleep(0.05)
+
+
+def _in(namespace: str) -> str:
+    return f", namespace /{namespace.strip('/')}" if namespace else ""
