@@ -160,8 +160,8 @@ class _Painter:
 
         if self._renderer is None:
             model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
-            model.vis.quality.shadowsize, model.vis.quality.offsamples = 8192, 8
-            model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.35, 0.35
+            model.vis.quality.shadowsize, model.vis.quality.offsamples = 4096, 4
+            model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.28, 0.2
             model.stat.extent = 1.0  # what the shadow map covers
             self._renderer = mujoco.Renderer(model, HEIGHT, WIDTH)
         camera = mujoco.MjvCamera()

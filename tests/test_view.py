@@ -1,0 +1,49 @@
+"""`./tcbi view` draws the robot without a display."""
+
+import ctypes.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+
+def view(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, since MuJoCo chooses its renderer when it is imported."""
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")} | environment
+    command = [sys.executable, "-P", "-m", "tcbi_bringup.cli", "view", *arguments]
+    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=100)
+
+
+def robot_pixels(image: np.ndarray) -> int:
+    """How many pixels have the orange of the legs."""
+    red, green, blue = (image[..., i].astype(int) for i in range(3))
+    return int(np.sum((red > 120) & (red > green + 30) & (green > blue + 40)))
+
+
+@pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="no EGL on this machine (libegl1)")
+def test_a_picture_and_a_video_show_the_robot(tmp_path: Path):
+    png, mp4 = tmp_path / "robot.png", tmp_path / "robot.mp4"
+    done = view("--task", "balance", "--seed", "7", "--png", str(png), "--video", str(mp4), "--seconds", "0.4")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    picture, frames = imageio.imread(png), imageio.imread(mp4)
+    assert picture.shape[:2] == (540, 960)
+    assert 2_000 < robot_pixels(picture) < 60_000
+    assert len(frames) == 10
+    assert robot_pixels(frames[-1]) > 2_000
+
+
+def test_a_folder_that_is_not_there_is_named_in_one_line(tmp_path: Path):
+    done = view("--png", str(tmp_path / "none" / "robot.png"))
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1 and str(tmp_path / "none") in done.stderr
+
+
+def test_an_unknown_task_is_named_with_the_known_ones(tmp_path: Path):
+    done = view("--task", "forwards", "--png", str(tmp_path / "robot.png"))
+    assert done.returncode == 1
+    assert "forwards" in done.stderr and "balance" in done.stderr
