@@ -1,0 +1,172 @@
+"""What holds between packages: dependencies point one way, pure modules need no ROS, nothing names this machine."""
+
+import ast
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "ros2_ws" / "src"
+ALLOWED = {
+    "tcbi_contract": {"tcbi_msgs"},
+    "hexapod_driver": {"tcbi_msgs", "tcbi_contract"},
+    "tcbi_sim": {"tcbi_msgs", "tcbi_contract"},
+    "tcbi_policy": {"tcbi_msgs", "tcbi_contract", "tcbi_sim"},
+    "tcbi_infer": {"tcbi_msgs", "tcbi_contract", "tcbi_sim", "tcbi_policy"},
+    "tcbi_bringup": {"tcbi_msgs", "tcbi_contract", "tcbi_sim", "tcbi_policy", "tcbi_infer", "hexapod_driver"},
+}
+OWN = {*ALLOWED, "tcbi_msgs"}
+ROS = {
+    *(
+        "rclpy",
+        "tcbi_msgs",
+        "std_msgs",
+        "std_srvs",
+        "sensor_msgs",
+        "geometry_msgs",
+        "trajectory_msgs",
+        "diagnostic_msgs",
+    ),
+    *("rosgraph_msgs", "builtin_interfaces", "rcl_interfaces", "action_msgs"),
+}
+
+
+def modules(package: str) -> dict[str, Path]:
+    """Dotted name and file of each module of a package."""
+    folder = SOURCE / package
+    files = sorted((folder / package).rglob("*.py"))
+    return {".".join(f.relative_to(folder).with_suffix("").parts).removesuffix(".__init__"): f for f in files}
+
+
+def imported(file: Path, top_level: bool = False) -> set[str]:
+    """Modules that a file imports: anywhere, or on being imported itself."""
+    found: set[str] = set()
+    todo: list[ast.AST] = [ast.parse(file.read_text(encoding="utf-8"))]
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        if top_level and isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
+            continue
+        if top_level and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            todo.extend(node.orelse)
+            continue
+        todo.extend(ast.iter_child_nodes(node))
+    return found
+
+
+def packages_of(names: set[str]) -> set[str]:
+    return {name.partition(".")[0] for name in names}
+
+
+def declared(package: str, *tags: str) -> set[str]:
+    """Names in package.xml under the given tags."""
+    root = ET.parse(SOURCE / package / "package.xml").getroot()
+    return {element.text or "" for tag in tags for element in root.iter(tag)}
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_a_package_imports_only_those_below_it(package):
+    wrong = {
+        f"{name} imports {other}"
+        for name, file in modules(package).items()
+        for other in packages_of(imported(file)) & OWN - ALLOWED[package] - {package}
+    }
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_what_is_imported_from_the_workspace_is_declared(package):
+    used = set().union(*(packages_of(imported(file)) for file in modules(package).values()))
+    needed = (used & (OWN | ROS)) - {package}
+    assert needed <= declared(package, "depend", "exec_depend")
+
+
+def ros_modules() -> set[str]:
+    """Modules that import ROS themselves or through another module of the project."""
+    edges = {name: imported(file, top_level=True) for p in ALLOWED for name, file in modules(p).items()}
+    found = {name for name, used in edges.items() if packages_of(used) & ROS}
+    while more := {name for name, used in edges.items() if name not in found and used & found}:
+        found |= more
+    return found
+
+
+def test_only_nodes_and_what_stands_between_them_import_ros():
+    between = {"messages", "parameters", "running", "recorder", "graph_monitor", "domain_lock", "graph_check"}
+    direct = {
+        name
+        for package in ALLOWED
+        for name, file in modules(package).items()
+        if packages_of(imported(file, top_level=True)) & ROS
+    }
+    stray = {name for name in direct if not name.endswith("_node") and name.rpartition(".")[2] not in between}
+    assert not stray, "put what needs ROS into a node file, or name the module in `between` if it is an adapter"
+
+
+def test_all_other_modules_import_with_rclpy_blocked():
+    pure = sorted({n for p in ALLOWED for n in modules(p) if not n.endswith("__main__")} - ros_modules())
+    code = (
+        "import importlib, sys\n"
+        "class Block:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name.partition('.')[0] in set(sys.argv[1].split()): raise ImportError(f'{name} is blocked')\n"
+        "sys.meta_path.insert(0, Block())\n"
+        "failed = []\n"
+        "for name in sys.argv[2:]:\n"
+        "    try: importlib.import_module(name)\n"
+        "    except Exception as e: failed.append(f'{name}: {e!r}')\n"
+        "print('\\n'.join(failed)); sys.exit(bool(failed))\n"
+    )
+    command = [sys.executable, "-P", "-c", code, " ".join(ROS), *pure]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def text_files() -> list[Path]:
+    """What is part of the product, as text."""
+    folders = [ROOT / f for f in ("ros2_ws/src", "tcbi_setup", "docs", "tests", "bench", ".ci")]
+    kinds = {".py", ".md", ".toml", ".xml", ".cfg", ".txt", ".msg", ".srv", ".action", ".html", ".in", ".lock", ".yaml"}
+    inside = [f for folder in folders if folder.is_dir() for f in folder.rglob("*") if f.is_file()]
+    return [f for f in (*ROOT.iterdir(), *inside) if f.is_file() and (f.suffix in kinds or f.name in ("tcbi", "run"))]
+
+
+def test_no_file_names_a_path_of_the_machine_that_made_it():
+    homes = ("/" + "work/", "/" + "root/", "/" + "tmp/", "/" + "home/", "/" + "Users/")
+    found = [
+        f"{file.relative_to(ROOT)}:{number}: {line.strip()[:80]}"
+        for file in text_files()
+        for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1)
+        if any(home in line for home in homes)
+    ]
+    assert not found
+
+
+def test_locks_name_versions_and_no_address():
+    for lock in sorted(ROOT.glob("requirements*.lock")):
+        lines = lock.read_text(encoding="utf-8").splitlines()
+        assert not [line for line in lines if "://" in line or " @ " in line], lock.name
+        assert not [line for line in lines if line[:1].isalnum() and "==" not in line], lock.name
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_a_package_is_what_ros_expects(package):
+    folder = SOURCE / package
+    assert (folder / "resource" / package).is_file()
+    setup = (folder / "setup.cfg").read_text(encoding="utf-8")
+    assert f"script_dir=$base/lib/{package}" in setup and f"install_scripts=$base/lib/{package}" in setup
+    root = ET.parse(folder / "package.xml").getroot()
+    assert root.get("format") == "3"
+    assert root.findtext("name") == package
+    assert root.findtext("export/build_type") == "ament_python"
+    assert root.findtext("license") == "Apache-2.0"
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_each_folder_of_modules_is_a_python_package(package):
+    folders = {file.parent for file in (SOURCE / package / package).rglob("*.py")}
+    assert not [str(f.relative_to(SOURCE)) for f in sorted(folders) if not (f / "__init__.py").is_file()]
