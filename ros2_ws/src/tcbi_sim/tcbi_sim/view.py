@@ -5,7 +5,8 @@
     film.save_video(Path("robot.mp4"), controller, duration=8.0)
     film.open(controller)                              # a window, until the user closes it
 
-Without a display MuJoCo renders through EGL, for which `prepare_headless` must have been called before mujoco is imported.
+Without a display MuJoCo renders through EGL, for which `prepare_headless` must have been called before mujoco is
+imported.
 """
 
 import ctypes.util
