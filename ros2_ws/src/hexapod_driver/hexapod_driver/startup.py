@@ -55,7 +55,7 @@ def _identify(wire: Wire) -> Identity:
             raise StartupError(f"sensor board: {error}") from error
         if isinstance(wire, OneLink) and not identity.features & Feature.SERVO_BUS:
             raise StartupError(
-                f"sensor board {identity.name!r} does not carry the servo bus; give the board's port as sensor_port and "
+                f"sensor board {identity.name!r} does not carry the servo bus; give its port as sensor_port and "
                 "the servo bus as port"
             )
         return identity

@@ -147,13 +147,7 @@ class ServoBus:
 
     def receive(self, data: bytes) -> bytes:
         """Bytes from the line -> what the servos answer."""
-        packets = self._stream.feed(data)
-        if not packets:
-            return b""
-        state = self._body.read()
-        for servo in self._servos.values():
-            servo.sense(state)
-        return b"".join(self._answer(packet, state.time_s) for packet in packets)
+        return b"".join(map(self._answer, self._stream.feed(data)))
 
     def quiet(self) -> None:
         """The line has been quiet: an unfinished packet is none."""
@@ -164,7 +158,11 @@ class ServoBus:
         for servo in self._servos.values():
             servo.power_off_torque()
 
-    def _answer(self, packet: Packet, now: float) -> bytes:
+    def _answer(self, packet: Packet) -> bytes:
+        state = self._body.read()
+        for servo in self._servos.values():
+            servo.sense(state)
+        now = state.time_s
         if packet.code == Instruction.SYNC_READ:
             return self._sync_read(packet.params)
         if packet.code == Instruction.SYNC_WRITE:
