@@ -18,6 +18,7 @@ setup(
     entry_points={
         "console_scripts": [
             "emulated_robot = tcbi_bringup.emulated_robot.main:main",
+            "experimenter_node = tcbi_bringup.emulated_robot.experimenter_node:main",
             "tcbi = tcbi_bringup.cli:main",
         ],
     },

@@ -25,6 +25,7 @@ from tcbi_bringup.emulated_robot.sensors import Encoders, FootSwitches, Imu
 from tcbi_bringup.emulated_robot.servos import LOOP_PERIOD_S, STEP, Move, Servos
 
 SUBSTEPS = round(LOOP_PERIOD_S / mechanics.STEP_S)
+PACKET_S = 0.003  # goals sent within this time travel in one packet
 DROP_HEIGHT = 0.001  # m between the lowest foot and the ground when the robot is let go
 
 
@@ -102,6 +103,7 @@ class Physics:
         self._encoders = Encoders(encoders)
         self._imu = Imu(np.random.default_rng([specimen.seed, 4]), imu, LOOP_PERIOD_S)
         self._switches = FootSwitches(drawing.foot_threshold * character.switch_factor, switches, LOOP_PERIOD_S)
+        self._packet = (-1.0, 0.0)  # s, when the latest packet was sent and when it comes in
         self._clock = 0  # ticks since the robot was switched on
         self._torque = np.zeros(characters.JOINT_COUNT)
         self._encoder = np.zeros(characters.JOINT_COUNT)
@@ -148,9 +150,10 @@ class Physics:
 
     def send_each(self, goals: list[tuple[int, float]], duration: float, speed: float = 0.0) -> None:
         """Send goals (servo, rad) in one packet."""
-        due = self.time + self._effect.bus_delay(self._bus)
+        if self.time - self._packet[0] > PACKET_S:
+            self._packet = (self.time, self.time + self._effect.bus_delay(self._bus))
         for index, goal in goals:
-            self.servos.send(Move(due, index, goal, duration, speed))
+            self.servos.send(Move(self._packet[1], index, goal, duration, speed))
 
     def switch(self, index: int, on: bool) -> None:
         """Torque of one servo on or off."""
