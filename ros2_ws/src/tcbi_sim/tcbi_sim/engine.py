@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_contract.names import CONTROL_PERIOD_S, CONTROL_RATE_HZ
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Commands, Measurement, Scenario, observation, roll_pitch_yaw
 from tcbi_sim.model import Model
@@ -156,7 +156,7 @@ def _closed_loop(simulator: Simulator, controller: Controller, offset: int) -> P
     controller.reset(simulator.count, np.random.default_rng([offset, simulator.scenarios[0].seed]))
     parts, given, now = [simulator.observe()], [], _attitude(simulator.observe())
     yaw0 = roll_pitch_yaw(now)[:, 2]
-    times = np.arange(round(duration / CONTROL_PERIOD_S)) * CONTROL_PERIOD_S
+    times = np.arange(round(duration * CONTROL_RATE_HZ)) / CONTROL_RATE_HZ
     for t in times:
         last = parts[-1]
         seen = observation(last.joint_position[:, -1], _attitude(last), yaw0)

@@ -96,13 +96,18 @@ class Simulator:
             self.rig.joint_names,
         )
         self.path = CommandPath(self.fields.command, [np.random.default_rng(0)] * self.count)
-        self.time = 0.0
+        self._taken = 0  # samples so far: times are counted, never added up
         self._torque_on = np.ones(self.count, bool)
         self.diverged = np.zeros(self.count, bool)
         self._warned = np.zeros(self.count, int)
         self._index()
         self._drifting = [u for u in self.uses if u.effect.update]
         self.reset()
+
+    @property
+    def time(self) -> float:
+        """Simulator time in s; it goes on over resets."""
+        return self._taken / self.rate
 
     @property
     def mj(self) -> mujoco.MjModel:
@@ -314,7 +319,7 @@ class Simulator:
     def _advance(self, samples: int) -> Samples:
         """Step, and return the true signals of the new samples."""
         steps = samples * self.per_sample
-        midpoints = self.time + (np.arange(steps) + 0.5) * self.timestep
+        midpoints = (self._taken * self.per_sample + np.arange(steps) + 0.5) * self.timestep
         control = np.zeros((self.count, steps, self._mj.nu))
         control[:, :, self._actuators] = self.path.references(midpoints)
         recorded: dict = {}
@@ -323,8 +328,8 @@ class Simulator:
             recorded.update(self._batch.rollout(steps, control, record=("sensordata",)))
 
         self._run(call)
-        times = self.time + np.arange(1, samples + 1) / self.rate
-        self.time = round((self.time + samples / self.rate) * 1e9) / 1e9
+        times = (self._taken + np.arange(1, samples + 1)) / self.rate
+        self._taken += samples
         last = self._sample_now()
         # a step's sensors describe the state before it, so sample k is what step k * per_sample saw
         inner = recorded["sensordata"][:, self.per_sample :: self.per_sample] if recorded else None

@@ -9,7 +9,7 @@ from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
 
 GAP = 1e-3  # rad, of the compiled model; every simulation writes its own
-PLAY_DAMPING = 0.002  # N m s/rad, grease between the flanks
+PLAY_DAMPING = 0.005  # N m s/rad, grease between the flanks
 
 
 def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
@@ -23,8 +23,8 @@ def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
             limited=True,
             range=[-GAP, GAP],
             damping=[PLAY_DAMPING, 0, 0],
-            armature=1e-5,
-            solref_limit=[0.004, 1.0],
+            armature=1e-4,
+            solref_limit=[0.01, 1.0],
             solimp_limit=[0.99, 0.999, 0.001, 0.5, 2.0],
         )
 

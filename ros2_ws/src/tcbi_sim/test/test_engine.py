@@ -1,0 +1,126 @@
+"""The batch engine against a plain loop, and what it promises."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from tcbi_sim.engine import Simulator, simulate
+from tcbi_sim.errors import SimError
+from tcbi_sim.measurement import Commands, Scenario
+from tcbi_sim.mjcf import materialise
+from tcbi_sim.model import base_model
+from tcbi_sim.tasks import TASKS
+
+RNG = np.random.default_rng(3)
+SCENARIOS = [TASKS["balance"].draw(RNG, seed) for seed in range(3)]
+SHORT = [Scenario("balance", 1.0, s.slope_roll, s.slope_pitch, seed=s.seed) for s in SCENARIOS]
+COMMANDS = [Commands(np.arange(5) * 0.2, np.random.default_rng(i).uniform(-0.3, 0.3, (5, 18))) for i in range(3)]
+
+
+class Dither:
+    """A closed loop that depends on what it sees."""
+
+    def reset(self, count, rng):
+        self.count = count
+
+    def act(self, time, observation):
+        return 0.2 * np.sin(3 * time + np.arange(18)) - 0.3 * observation[:, :18]
+
+
+def test_the_same_bits_at_any_number_of_threads_and_any_chunk():
+    model = base_model("hexapod")
+    values = model.sample(np.random.default_rng(0), 6)
+    one = simulate(model, values, SHORT, controller=Dither(), timestep=0.01, threads=1)
+    two = simulate(model, values, SHORT, controller=Dither(), timestep=0.01, threads=2, chunk=5)
+    np.testing.assert_array_equal(one.joint_position, two.joint_position)
+    np.testing.assert_array_equal(one.attitude, two.attitude)
+
+
+def test_replaying_its_own_commands_repeats_a_closed_loop_bit_for_bit():
+    model = base_model("hexapod")
+    values = model.sample(np.random.default_rng(0), 1)
+    closed = simulate(model, values, SHORT, controller=Dither(), timestep=0.01)
+    recorded = [closed.measurement(0, s).commands for s in range(3)]
+    replayed = simulate(model, values, SHORT, commands=recorded, timestep=0.01)
+    np.testing.assert_array_equal(closed.joint_position, replayed.joint_position)
+
+
+def test_the_batch_agrees_with_a_plain_loop_over_mj_step():
+    model = base_model("servo_bench")
+    values = np.array([[4e-3, 0.03, 0.02]])
+    step = Commands(np.array([0.1]), np.array([[1.0]]), ramp=0.0)
+    scenario = Scenario("bench", 0.5, constants=(("kp", 400.0), ("mass", 0.3), ("length", 0.1)))
+    out = simulate(model, values, [scenario], commands=[step], timestep=0.001)
+    plain = materialise(model, values[0])
+    plain.body_mass[1], plain.opt.timestep = 0.3, 0.001
+    plain.actuator_gainprm[0, 0] = 4e-3 * 400
+    plain.actuator_biasprm[0, 1] = -4e-3 * 400
+    mujoco.mj_setConst(plain, mujoco.MjData(plain))
+    data, expected = mujoco.MjData(plain), []
+    for k in range(501):
+        data.ctrl[0] = 1.0 if (k + 0.5) * 0.001 >= 0.1 else 0.0
+        if k % 10 == 0:
+            expected.append(data.qpos[0])
+        mujoco.mj_step(plain, data)
+    np.testing.assert_allclose(out.joint_position[0, 0, :, 0], expected, atol=1e-9)
+
+
+def test_a_servo_reaches_its_target_on_a_linear_ramp():
+    model = base_model("servo_bench")
+    simulator = Simulator(
+        model,
+        np.array([[5e-2, 1e-3, 1e-3]]),
+        [Scenario("bench", 1.0, constants=(("kp", 400.0), ("mass", 0.02)))],
+        0.001,
+    )
+    simulator.command(np.array([[0.5]]), ramp=0.2)
+    samples = simulator.advance(0.3)
+    assert samples.joint_position[0, 9, 0] == pytest.approx(0.25, abs=0.05), "half way at half the ramp's time"
+    assert samples.joint_position[0, -1, 0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_diverging_simulation_is_marked_and_leaves_the_others_alone():
+    model = base_model("hexapod")
+    values = np.repeat([[0.75, 0.8, 2.5]], 2, axis=0)
+    pair = Simulator(model, values, SHORT[:1] * 2, 0.01, threads=1)
+    alone = Simulator(model, values[:1], SHORT[:1], 0.01, threads=1)
+    pair._batch.bind("qvel")[1, :] = 1e12
+    target = np.zeros((2, 18))
+    pair.command(target)
+    alone.command(target[:1])
+    np.testing.assert_array_equal(pair.advance(1.0).joint_position[0], alone.advance(1.0).joint_position[0])
+    assert pair.diverged.tolist() == [False, True]
+
+
+def test_a_reset_of_one_simulation_leaves_the_others_running():
+    model = base_model("hexapod")
+    values = np.repeat([[0.75, 0.8, 2.5]], 2, axis=0)
+    once, both = (Simulator(model, values, SHORT[:2], 0.01, threads=1) for _ in range(2))
+    target = np.tile(COMMANDS[0].target[0], (2, 1))
+    for simulator in (once, both):
+        simulator.command(target)
+        simulator.advance(0.2)
+    both.reset(np.array([1]), parameters=np.array([[0.9, 1.0, 3.0]]))
+    for simulator in (once, both):
+        simulator.command(target)
+    np.testing.assert_array_equal(once.advance(0.2).joint_position[0], both.advance(0.2).joint_position[0])
+
+
+def test_limp_servos_let_the_robot_sink():
+    simulator = Simulator(base_model("hexapod"), np.array([[0.75, 0.8, 2.5]]), [Scenario("balance", 2.0)], threads=1)
+    height = simulator.observe().position[0, 0, 2]
+    simulator.set_torque(False)
+    assert simulator.advance(1.0).position[0, -1, 2] < height - 0.02
+
+
+def test_wrong_shapes_and_modes_are_refused_in_words():
+    model = base_model("hexapod")
+    values = model.mean()[None]
+    with pytest.raises(SimError, match="either commands"):
+        simulate(model, values, SHORT)
+    with pytest.raises(SimError, match="command sequences"):
+        simulate(model, values, SHORT, commands=COMMANDS[:1])
+    with pytest.raises(SimError, match="friction, mass, gain"):
+        simulate(model, values[:, :2], SHORT, commands=COMMANDS)
+    with pytest.raises(SimError, match="does not divide"):
+        simulate(model, values, SHORT, commands=COMMANDS, timestep=0.003)

@@ -1,0 +1,98 @@
+"""The hexapod stands, steps over the blocks, and measures what the contract says."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from tcbi_contract.names import JOINT_LIMIT, JOINTS, LEGS
+from tcbi_sim.measurement import Scenario, roll_pitch_yaw
+from tcbi_sim.model import base_model
+from tcbi_sim.rigs.hexapod import build, dimensions
+from tcbi_sim.simulator import Simulator
+from tcbi_sim.tasks import BLOCK_HEIGHT, TASKS
+
+NOMINAL = np.array([[0.75, 0.8, 2.5]])
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return build().compile()
+
+
+def foot(model: mujoco.MjModel, leg: str, **angles: float) -> np.ndarray:
+    data = mujoco.MjData(model)
+    for joint, angle in angles.items():
+        data.qpos[model.joint(f"{leg}_{joint}").qposadr[0]] = angle
+    mujoco.mj_kinematics(model, data)
+    return data.site(f"{leg}_foot").xpos.copy()
+
+
+def test_it_has_the_contracts_joints_in_order_and_weighs_what_table_1_allows(model):
+    hinges = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE]
+    assert tuple(hinges) == JOINTS
+    assert 0.4 <= model.body_mass.sum() <= 1.2
+    assert model.body_mass.sum() == pytest.approx(dimensions()["nominal"]["mass"])
+
+
+@pytest.mark.parametrize("leg", LEGS)
+def test_positive_angles_move_every_foot_as_the_contract_says(model, leg):
+    rest = foot(model, leg)
+    outward = 1.0 if leg.startswith("l") else -1.0
+    assert foot(model, leg, coxa=0.2)[0] > rest[0] + 0.01, "coxa positive swings the foot forward"
+    assert foot(model, leg, femur=0.2)[2] > rest[2] + 0.01, "femur positive lifts"
+    assert outward * foot(model, leg, tibia=0.2)[1] > outward * rest[1] + 0.005, "tibia positive moves the foot outward"
+
+
+@pytest.mark.parametrize("leg", LEGS)
+def test_a_foot_lifts_over_the_highest_block_within_the_joint_range(model, leg):
+    lift = foot(model, leg, femur=JOINT_LIMIT, tibia=JOINT_LIMIT)[2] - foot(model, leg)[2]
+    assert lift > BLOCK_HEIGHT[1]
+
+
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.25, 0.0), (0.1, -0.3)])
+def test_loaded_feet_do_not_creep(slope):
+    scenario = Scenario("balance", 10.0, *slope, settle=2.0)
+    simulator = Simulator(base_model("hexapod"), NOMINAL, [scenario], threads=1)
+    before = _feet(simulator)
+    simulator.command(np.zeros((1, 18)))
+    simulator.advance(10.0)
+    crept = np.linalg.norm(_feet(simulator) - before, axis=1).max()
+    assert crept < 1e-3, f"a foot moved {1e3 * crept:.2f} mm in 10 s of standing still"
+
+
+def _feet(simulator: Simulator) -> np.ndarray:
+    _, data = simulator.materialise()
+    return np.array([data.site(f"{leg}_foot").xpos for leg in LEGS])
+
+
+def test_standing_on_a_slope_the_imu_shows_the_slope_and_gravity():
+    scenario = Scenario("balance", 8.0, 0.2, -0.1, settle=2.0)
+    now = Simulator(base_model("hexapod"), NOMINAL, [scenario], threads=1).observe()
+    assert now.attitude is not None and now.linear_acceleration is not None and now.contact is not None
+    assert roll_pitch_yaw(now.attitude)[0, 0] == pytest.approx([0.2, -0.1, 0.0], abs=0.03)
+    assert np.linalg.norm(now.linear_acceleration[0, 0]) == pytest.approx(9.81, abs=0.1)
+    assert now.contact.all(), "all six feet carry"
+
+
+def test_legs_collide_with_each_other():
+    simulator = Simulator(base_model("hexapod"), NOMINAL, [Scenario("balance", 2.0)], threads=1)
+    towards = np.zeros((1, 18))
+    towards[0, JOINTS.index("lf_coxa")], towards[0, JOINTS.index("lm_coxa")] = -JOINT_LIMIT, JOINT_LIMIT
+    simulator.command(towards)
+    simulator.advance(2.0)
+    model, data = simulator.materialise()
+    pairs = {frozenset((model.geom(c.geom1).name, model.geom(c.geom2).name)) for c in data.contact}
+    front_middle = {p for p in pairs if all(name.startswith(("lf_", "lm_")) for name in p) and len(p) == 2}
+    apart = np.linalg.norm(data.site("lf_foot").xpos - data.site("lm_foot").xpos)
+    assert front_middle or apart > 2 * dimensions()["leg"]["foot_radius"], "legs never pass through each other"
+
+
+def test_scenarios_stay_within_table_1():
+    rng = np.random.default_rng(0)
+    for seed in range(50):
+        tilted, ahead = TASKS["balance"].draw(rng, seed), TASKS["forward"].draw(rng, seed)
+        assert max(abs(tilted.slope_roll), abs(tilted.slope_pitch)) <= math.pi / 6
+        assert ahead.blocks and all(0.06 <= b.size[2] <= 0.08 for b in ahead.blocks)
+        assert all(0.1 <= edge <= 0.2 for b in ahead.blocks for edge in b.size[:2])

@@ -1,0 +1,91 @@
+"""Model versions survive the disk, and damaged ones are refused in words."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from tcbi_sim.errors import SimError
+from tcbi_sim.mjcf import materialise, to_xml
+from tcbi_sim.model import base_model
+from tcbi_sim.store import ModelStore, StoreError
+
+
+@pytest.fixture
+def store(tmp_path) -> ModelStore:
+    return ModelStore(tmp_path)
+
+
+def test_an_empty_store_has_version_0_of_every_rig(store):
+    assert store.versions() == ["hexapod-v0", "servo_bench-v0"]
+    assert store.load().version == "hexapod-v0"
+
+
+def test_a_saved_version_comes_back_equal(store):
+    saved = store.save(base_model("hexapod").with_effect("weak_leg:lm"))
+    loaded = store.load()
+    assert (loaded.version, loaded.parent, loaded.effects) == ("hexapod-v1", "hexapod-v0", ("weak_leg:lm",))
+    np.testing.assert_array_equal(loaded.particles, saved.particles)
+    np.testing.assert_array_equal(loaded.log_weights, saved.log_weights)
+
+
+def test_versions_are_numbered_by_rig_and_remembered_by_parent(store):
+    first = store.save(base_model("hexapod").with_effect("backlash"))
+    second = store.save(first.with_effect("payload"))
+    bench = store.save(base_model("servo_bench").with_effect("rotor_inertia"))
+    assert (first.version, second.version, bench.version) == ("hexapod-v1", "hexapod-v2", "servo_bench-v1")
+    assert second.parent == first.version
+    with pytest.raises(StoreError, match="hexapod-v2"):
+        store.remove(first.version)
+    store.remove(second.version)
+    assert store.load().version == first.version
+
+
+def test_the_exported_mjcf_is_the_model(store):
+    model = base_model("hexapod").with_effect("coulomb_friction").with_effect("payload").with_effect("backlash")
+    loaded, own = mujoco.MjModel.from_xml_string(to_xml(model)), materialise(model)
+    for name in (
+        "body_mass",
+        "body_ipos",
+        "dof_frictionloss",
+        "dof_damping",
+        "actuator_gainprm",
+        "jnt_range",
+        "geom_friction",
+    ):
+        np.testing.assert_allclose(getattr(loaded, name), getattr(own, name), atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"effects": ["gravity_waves"]}, "gravity_waves"),
+        ({"format": 99}, "format"),
+        ({"rig": "octopod"}, "octopod"),
+    ],
+)
+def test_a_model_file_with_unknown_content_is_refused_by_name(store, change, words):
+    saved = store.save(base_model("hexapod"))
+    path = store.models / saved.version / "model.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(SimError, match=words):
+        store.load(saved.version)
+
+
+def test_a_value_out_of_range_is_refused_with_its_bounds(store):
+    saved = store.save(base_model("hexapod"))
+    path = store.models / saved.version / "model.json"
+    head = json.loads(path.read_text())
+    head["parameters"][1]["low"] = 0.9
+    head["parameters"][1]["nominal"] = 1.0
+    path.write_text(json.dumps(head))
+    with pytest.raises(SimError, match="mass"):
+        store.load(saved.version)
+
+
+def test_a_truncated_file_is_one_clear_line(store):
+    saved = store.save(base_model("hexapod"))
+    (store.models / saved.version / "posterior.nc").write_bytes(b"\x89HDF")
+    with pytest.raises(StoreError, match="cannot read the model"):
+        store.load(saved.version)
