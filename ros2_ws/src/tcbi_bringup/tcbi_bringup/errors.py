@@ -17,3 +17,7 @@ class LaunchError(BringupError):
 
 class SecondGraphError(LaunchError):
     """Another graph already runs in this ROS domain."""
+
+
+class DemoError(BringupError):
+    """A step of the demo failed."""
