@@ -18,14 +18,14 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from hexapod_driver import calibration, safety, status
+from hexapod_driver import calibration, status
 from hexapod_driver.clock import RisingStamps
-from hexapod_driver.errors import CommandRefused
 from hexapod_driver.link import Link, LinkSettings
 from hexapod_driver.robot import BoardReading, Done, JointReading, Reading, Robot
-from tcbi_contract import messages, names
+from tcbi_contract import messages, names, safety
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.parameters import ParameterError, declare, parameter
+from tcbi_contract.safety import CommandRefused
 from tcbi_msgs.msg import FootContacts
 from tcbi_msgs.srv import ResetEpisode
 

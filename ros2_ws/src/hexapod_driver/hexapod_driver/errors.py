@@ -21,7 +21,3 @@ class StartupError(DriverError):
 
 class CalibrationError(DriverError):
     """A calibration file is missing, broken, or does not describe this robot."""
-
-
-class CommandRefused(DriverError):
-    """A command that must not reach the servos."""

@@ -20,12 +20,12 @@ from queue import Empty, SimpleQueue
 
 from hexapod_driver import startup
 from hexapod_driver.calibration import Calibration
-from hexapod_driver.errors import CommandRefused, DriverError, LinkLost, PortError, StartupError
+from hexapod_driver.errors import DriverError, LinkLost, PortError, StartupError
 from hexapod_driver.robot import Done, Reading, Robot
-from hexapod_driver.safety import Limits, Safety
 from hexapod_driver.sensor_board import Identity
 from hexapod_driver.serial_port import SerialPort
 from hexapod_driver.wire import OneLink, TwoPorts, Wire
+from tcbi_contract.safety import CommandRefused, Limits, Safety
 
 FIRST_RETRY_S, LAST_RETRY_S = 0.25, 5.0
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 
 from hexapod_driver import feetech, sensor_board
 from hexapod_driver.calibration import Calibration
-from hexapod_driver.errors import CommandRefused, LinkLost
+from hexapod_driver.errors import LinkLost
 from hexapod_driver.feetech import Packet, TimedMove
 from hexapod_driver.posture import PostureMove
-from hexapod_driver.safety import Mode, Move, Safety
 from hexapod_driver.sensor_board import FrameError, Kind, Sample
 from hexapod_driver.wire import BoardFrame, BusReply, Wire
 from tcbi_contract.names import CONTROL_PERIOD_S, JOINTS, SENSOR_RATE_HZ
+from tcbi_contract.safety import CommandRefused, Mode, Move, Safety
 
 POLL_S = 0.01
 READ_PERIOD_S = 1 / SENSOR_RATE_HZ
@@ -199,7 +199,7 @@ class Robot:
             self._ask(feetech.sync_read(servos, feetech.PRESENT_POSITION, 2), self._take_positions)
         if self._alive_timer.due(now):
             self.wire.send_board(Kind.KEEP_ALIVE)
-        if now - self._last_sample > STREAM_RETRY_S / 2 and self._stream_timer.due(now):
+        if self._stream_timer.due(now) and (not self.health.board_samples or now - self._last_sample > STREAM_RETRY_S):
             self._start_stream()
 
     def _ask(self, packet: bytes, purpose: Callable[[BusReply], None]) -> None:

@@ -7,7 +7,7 @@ from hexapod_driver import feetech
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.link import Link
 from hexapod_driver.robot import Health
-from hexapod_driver.safety import Mode, Safety
+from tcbi_contract.safety import Mode, Safety
 
 OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
 HOT_C = 65  # an STS servo protects itself at 70 degrees

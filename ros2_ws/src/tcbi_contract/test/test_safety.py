@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hexapod_driver.errors import CommandRefused
-from hexapod_driver.safety import Limits, Mode, Safety, check_age, ordered_target
 from tcbi_contract.names import JOINT_LIMIT, JOINTS
+from tcbi_contract.safety import CommandRefused, Limits, Mode, Safety, check_age, ordered_target
 
 ZERO = (0.0,) * 18
 LIMITS = Limits(max_speed=2.0, approach_speed=0.5)
