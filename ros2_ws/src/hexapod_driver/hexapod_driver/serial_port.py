@@ -52,7 +52,7 @@ class SerialPort:
             self._serial = serial.Serial(path, baud_rate, timeout=0, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
             self._serial.reset_output_buffer()
         except (serial.SerialException, OSError, termios.error) as error:
-            code = error.errno if isinstance(error, OSError) and error.errno else _first_int(error.args)
+            code = _errno(error)
             raise PortError(f"{_remedy(code, path).format(path=path)} ({_reason(error, code)})") from error
         except ValueError as error:
             raise PortError(f"port {path}: {error}; choose another baud rate") from error
@@ -107,8 +107,14 @@ class SerialPort:
         self.close()
 
 
-def _first_int(args: tuple) -> int | None:
-    return next((a for a in args if isinstance(a, int)), None)
+def _errno(error: BaseException | None) -> int | None:
+    """The error number behind an exception, which pyserial and termios hide in different places."""
+    while error is not None:
+        numbers = [a for a in (getattr(error, "errno", None), *error.args) if isinstance(a, int)]
+        if numbers:
+            return numbers[0]
+        error = error.__cause__ or error.__context__
+    return None
 
 
 def _reason(error: Exception, code: int | None) -> str:

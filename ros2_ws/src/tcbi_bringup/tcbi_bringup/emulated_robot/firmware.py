@@ -21,6 +21,7 @@ from tcbi_bringup.emulated_robot.body import Body, BodyState
 
 MEMORY = 128
 FIRMWARE_VERSION = 1
+WATCHDOG_S = 0.5  # until a STREAM frame sets another
 STREAM_PATIENCE_S = 5.0  # after so long without a word from the computer the board stops its samples
 _EEPROM = 40  # registers below cannot be written here
 _PRESENT = range(feetech.PRESENT_POSITION, 71)
@@ -207,7 +208,7 @@ class SensorBoard:
         self._stream = FrameStream()
         self._sequence = 0
         self._rate_hz = 0
-        self._watchdog_s = 0.0
+        self._watchdog_s = WATCHDOG_S
         self._tripped = False
         self._next_sample = 0.0
         self._heard = body.read().time_s
@@ -221,14 +222,14 @@ class SensorBoard:
         """As if the reset button had been pressed: clock and sequence start again, samples stop."""
         self._started = self._heard = self._body.read().time_s
         self._sequence = self._rate_hz = 0
-        self._tripped = False
+        self._watchdog_s, self._tripped = WATCHDOG_S, False
         self._stream = FrameStream()
 
     def tick(self) -> bytes:
         """A sample if one is due; and the watchdog."""
         state = self._body.read()
         silence = state.time_s - self._heard
-        if self._watchdog_s and silence > self._watchdog_s and not self._tripped:
+        if silence > self._watchdog_s and not self._tripped:
             self._tripped = True
             self._bus.power_off_torque()
         if silence > STREAM_PATIENCE_S:

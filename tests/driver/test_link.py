@@ -1,0 +1,385 @@
+"""The driver's link against the emulated electronics: what happens when anything between computer and robot fails."""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+import serial
+
+from hexapod_driver import calibration, feetech, sensor_board
+from hexapod_driver.errors import PortError, StartupError
+from hexapod_driver.link import Link, LinkSettings
+from hexapod_driver.robot import BoardReading, JointReading
+from hexapod_driver.sensor_board import Frame, Kind
+from tcbi_contract.safety import Limits, Mode
+
+ZERO = (0.0,) * 18
+
+
+class Driver:
+    """A link and all that it said."""
+
+    def __init__(self, paths: list[str], **limits: float) -> None:
+        self.readings: list = []
+        self.reports: list[str] = []
+        self.refusals: list[str] = []
+        self.answers: list[tuple[bool, str]] = []
+        board = paths[1] if len(paths) == 2 else ""
+        settings = LinkSettings(paths[0], 1_000_000, board, 921_600, calibration.load(""), Limits(**limits))
+        self.link = Link(settings, self.readings.append, time.time_ns, self.reports.append)
+
+    def start(self) -> "Driver":
+        self.link.connect()
+        self.link.start()
+        return self
+
+    @property
+    def joints(self) -> list[JointReading]:
+        return [r for r in self.readings if isinstance(r, JointReading)]
+
+    @property
+    def board(self) -> list[BoardReading]:
+        return [r for r in self.readings if isinstance(r, BoardReading)]
+
+    def command(self, target=ZERO, duration: float = 0.2) -> None:
+        self.link.post(lambda robot: robot.command(target, duration), self.refusals.append)
+
+    def reset(self, target=ZERO, tolerance: float = 0.1) -> None:
+        def answer(success: bool, text: str) -> None:
+            self.answers.append((success, text))
+
+        self.link.post(lambda r: r.begin_posture(target, tolerance, answer), lambda text: answer(False, text))
+
+    def stop(self) -> None:
+        self.link.emergency_stop(lambda success, text: self.answers.append((success, text)))
+
+    def release(self) -> None:
+        self.link.release(lambda success, text: self.answers.append((success, text)))
+
+
+@pytest.fixture
+def make_driver() -> Iterator[Callable[..., Driver]]:
+    drivers: list[Driver] = []
+
+    def make(paths: list[str], **limits: float) -> Driver:
+        drivers.append(Driver(paths, **limits))
+        return drivers[-1]
+
+    yield make
+    for driver in drivers:
+        driver.link.close()
+
+
+class Commander:
+    """Commands five times a second from a thread of its own, as a policy that never gives up."""
+
+    def __init__(self, driver: Driver, target=ZERO) -> None:
+        self.target = target
+        self._driver, self._stop = driver, threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        while not self._stop.wait(0.1):
+            self._driver.command(self.target)
+
+    def __enter__(self) -> "Commander":
+        self._driver.command(self.target)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_joints_and_board_come_fifty_times_a_second_with_rising_stamps(make_bench, make_driver, until, ports: int):
+    bench = make_bench(ports, position=0.1)
+    driver = make_driver(bench.paths).start()
+    until(lambda: len(driver.joints) >= 100 and len(driver.board) >= 100, "a hundred readings")
+    for readings in (driver.joints, driver.board):
+        stamps = np.array([r.stamp_ns for r in readings[10:]]) / 1e9
+        assert np.all(np.diff(stamps) > 0)
+        assert np.median(np.diff(stamps)) == pytest.approx(0.02, abs=0.003)
+        assert 0 <= time.time() - stamps[-1] < 10
+    assert driver.joints[-1].position == pytest.approx((0.1,) * 18, abs=0.001)
+    assert driver.board[-1].sample.contact == (True, False, True, False, True, False)
+    assert driver.board[-1].sample.angular_velocity == pytest.approx((0.1, 0.2, 0.3))
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_commands_move_all_joints_on_both_sides(make_bench, make_driver, until, ports: int):
+    bench = make_bench(ports)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    target = tuple(np.linspace(-0.3, 0.3, 18))
+    with Commander(driver, target):
+        until(lambda: np.allclose(bench.body.position, target, atol=0.001), "the target")
+        assert bench.body.torque.all()
+    until(lambda: np.allclose(driver.joints[-1].position, target, atol=0.002), "the reading")
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_silence_makes_the_robot_limp(make_bench, make_driver, until, ports: int):
+    bench = make_bench(ports)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    driver.command()
+    until(lambda: bool(bench.body.torque.all()), "torque")
+    until(lambda: not bench.body.torque.any(), "limp")
+    assert "no command in time" in driver.link.safety.reason
+    driver.command()
+    until(lambda: bool(bench.body.torque.all()), "torque again")
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_a_driver_that_dies_leaves_a_limp_robot(make_bench, make_driver, until, ports: int):
+    """The link's thread stops dead, as after a SIGKILL: the board's watchdog is all that is left."""
+    bench = make_bench(ports)
+    driver = make_driver(bench.paths)
+    driver.link.connect()
+    robot = driver.link.robot
+    until(lambda: robot.step() or bool(driver.joints), "a reading")
+    robot.command(ZERO, 0.2)
+    until(lambda: bool(bench.body.torque.all()), "torque")
+    until(lambda: not bench.body.torque.any(), "limp without a word from the driver")
+
+
+def test_an_unplugged_link_is_found_again_and_the_robot_stays_limp_until_a_reset(make_bench, make_driver, until):
+    bench = make_bench()
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver):
+        until(lambda: bool(bench.body.torque.all()), "torque")
+        bench.unplug()
+        until(lambda: not bench.body.torque.any(), "limp by the watchdog")
+        until(lambda: driver.link.robot is None, "the loss to be noticed")
+        assert any("went away" in text for text in driver.reports)
+        seen = len(driver.joints)
+        bench.plug_in()
+        until(lambda: len(driver.joints) > seen + 10, "readings again")
+        until(lambda: any("reset_episode" in text for text in driver.refusals), "commands to be refused")
+        assert not bench.body.torque.any()
+        driver.reset()
+        until(lambda: bool(driver.answers), "the reset's answer")
+        assert driver.answers[0][0], driver.answers
+        until(lambda: bool(bench.body.torque.all()), "torque again")
+    assert driver.link.reconnects == 1
+
+
+def test_a_robot_that_falls_silent_on_an_open_port_is_lost_and_found(make_bench, make_driver, until):
+    bench = make_bench()
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    bench.mute(True)
+    until(lambda: driver.link.robot is None, "the loss to be noticed")
+    assert "no sample" in driver.link.state or "no answer" in driver.link.state
+    bench.mute(False)
+    until(lambda: driver.link.robot is not None and driver.link.reconnects == 1, "the robot again")
+
+
+def test_rubbish_among_the_bytes_changes_nothing_but_a_counter(make_bench, make_driver, until):
+    bench = make_bench()
+    driver = make_driver(bench.paths).start()
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        seen = len(driver.joints)
+        bench.send(rng.bytes(int(rng.integers(1, 200))))
+        until(lambda seen=seen: len(driver.joints) > seen, "readings to go on")
+    assert driver.link.robot is not None and driver.link.reconnects == 0
+    assert driver.link.robot.wire.bad_frames > 10
+    assert all(r.position == pytest.approx(ZERO, abs=1e-3) for r in driver.joints)
+
+
+def test_a_restarted_board_goes_on_and_stamps_stay_right(make_bench, make_driver, until):
+    bench = make_bench()
+    driver = make_driver(bench.paths).start()
+    until(lambda: len(driver.board) > 20, "samples")
+    bench.restart_board()
+    seen = len(driver.board)
+    until(lambda: len(driver.board) > seen + 20, "samples again")
+    assert abs(time.time() - driver.board[-1].stamp_ns / 1e9) < 5
+    assert driver.link.reconnects == 0
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_a_servo_that_stops_answering_makes_the_robot_limp_and_nothing_is_made_up(
+    make_bench, make_driver, until, ports: int
+):
+    bench = make_bench(ports)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver):
+        until(lambda: bool(bench.body.torque.all()), "torque")
+        bench.electronics.bus.absent.add(7)
+        until(lambda: driver.link.safety.mode is Mode.LIMP, "limp")
+        until(lambda: int(bench.body.torque.sum()) == 1, "torque off but for the one that hears nothing")
+        seen, samples = len(driver.joints), len(driver.board)
+        until(lambda: len(driver.board) > samples + 10, "the board to go on")
+        assert len(driver.joints) == seen
+        assert driver.link.robot.health.silent_servos == (7,)
+        assert driver.link.safety.needs_reset
+
+
+def test_a_servo_that_loses_its_torque_makes_all_limp(make_bench, make_driver, until):
+    bench = make_bench()
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver):
+        until(lambda: bool(bench.body.torque.all()), "torque")
+        bench.electronics.bus.receive(feetech.torque([4], False))
+        until(lambda: not bench.body.torque.any(), "all limp")
+    assert "lm_coxa (id 4)" in driver.link.safety.reason
+
+
+def test_a_first_command_far_away_is_approached_slowly(make_bench, make_driver, until):
+    bench = make_bench(position=-0.5)
+    driver = make_driver(bench.paths, approach_speed=0.5).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver, (0.5,) * 18):
+        until(lambda: bench.body.position[0] > 0.45, "the target")
+    moved = np.array([r.position[0] for r in driver.joints])
+    stamps = np.array([r.stamp_ns for r in driver.joints]) / 1e9
+    begin, end = np.argmax(moved > -0.4), np.argmax(moved > 0.4)
+    # Commands here come twice as often as their ramps last, so that the setpoint may run at twice the ramps' speed.
+    assert stamps[end] - stamps[begin] > 0.8 / (2 * 0.5) * 0.8
+
+
+def test_an_emergency_stop_is_confirmed_by_the_servos_and_latched(make_bench, make_driver, until):
+    bench = make_bench()
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver):
+        until(lambda: bool(bench.body.torque.all()), "torque")
+        driver.stop()
+        until(lambda: bool(driver.answers), "the answer")
+        assert driver.answers.pop() == (True, "all 18 servos confirm that their torque is off")
+        assert not bench.body.torque.any()
+        driver.reset()
+        until(lambda: bool(driver.answers), "the reset to be refused")
+        assert "emergency_stop/release" in driver.answers.pop()[1]
+        driver.release()
+        until(lambda: bool(driver.answers), "the release")
+        assert driver.answers.pop()[0]
+        until(lambda: any("reset_episode" in text for text in driver.refusals), "commands to be refused still")
+        assert not bench.body.torque.any()
+        driver.reset()
+        until(lambda: bool(driver.answers), "the reset")
+        assert driver.answers.pop()[0]
+        assert bench.body.torque.all()
+
+
+def test_an_emergency_stop_without_confirmation_says_so_and_stands_through_a_lost_link(make_bench, make_driver, until):
+    bench = make_bench()
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    bench.unplug()
+    driver.stop()
+    until(lambda: bool(driver.answers), "the answer")
+    success, text = driver.answers.pop()
+    assert not success and "cut the power" in text
+    bench.plug_in()
+    until(lambda: driver.link.robot is not None, "the robot again")
+    assert driver.link.safety.mode is Mode.STOPPED
+
+
+def test_a_reset_moves_slowly_and_a_stuck_leg_fails_it_by_name(make_bench, make_driver, until):
+    bench = make_bench(position=0.2)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    bench.body.stuck.add(8)
+    driver.reset()
+    until(lambda: bool(driver.answers), "the answer")
+    success, text = driver.answers.pop()
+    assert not success and "lr_tibia" in text
+    until(lambda: not bench.body.torque.any(), "limp")
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_closing_takes_the_torque_off(make_bench, make_driver, until, ports: int):
+    bench = make_bench(ports)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    driver.command()
+    until(lambda: bool(bench.body.torque.all()), "torque")
+    driver.link.close()
+    assert not bench.body.torque.any()
+    assert not any("did not confirm" in text for text in driver.reports)
+
+
+def test_missing_servos_are_named_at_once(make_bench, make_driver):
+    bench = make_bench()
+    bench.electronics.bus.absent |= {2, 18}
+    with pytest.raises(StartupError, match=r"expected 18, found 16; .*lf_femur \(id 2\), rr_tibia \(id 18\)"):
+        make_driver(bench.paths).link.connect()
+
+
+def test_a_port_that_does_not_exist(make_driver, tmp_path):
+    with pytest.raises(PortError, match="robot does not exist"):
+        make_driver([str(tmp_path / "robot")]).link.connect()
+
+
+def test_a_busy_port(make_bench, make_driver):
+    bench = make_bench()
+    with serial.Serial(bench.paths[0], exclusive=True), pytest.raises(PortError, match="busy"):
+        make_driver(bench.paths).link.connect()
+
+
+def test_a_file_that_is_no_port(make_driver, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PortError, match="not a serial port"):
+        make_driver([str(tmp_path / "file")]).link.connect()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may open every port")
+def test_a_forbidden_port(make_driver, tmp_path):
+    (tmp_path / "port").touch(mode=0)
+    with pytest.raises(PortError, match="usermod"):
+        make_driver([str(tmp_path / "port")]).link.connect()
+
+
+def test_a_port_that_sends_nothing_or_rubbish_is_no_robot(make_bench, make_driver):
+    bench = make_bench()
+    bench.mute(True)
+    with pytest.raises(StartupError, match="not one byte"):
+        make_driver(bench.paths).link.connect()
+    talking = threading.Event()
+    chatter = threading.Thread(target=lambda: [bench.send(b"GPS\r\n\0" * 20) for _ in iter(talking.is_set, True)])
+    chatter.start()
+    try:
+        with pytest.raises(StartupError, match="none of them a frame of this robot"):
+            make_driver(bench.paths).link.connect()
+    finally:
+        talking.set()
+        chatter.join()
+
+
+def test_a_board_of_another_version_is_named(make_bench, make_driver, monkeypatch):
+    bench = make_bench()
+    bench.mute(True)
+    encode = sensor_board.encode
+
+    def old(frame: Frame) -> bytes:
+        with monkeypatch.context() as patch:
+            patch.setattr(sensor_board, "VERSION", 9)
+            return encode(frame)
+
+    talking = threading.Event()
+    frame = old(Frame(Kind.SAMPLE, 1))
+    chatter = threading.Thread(target=lambda: [bench.send(frame) for _ in iter(talking.is_set, True)])
+    chatter.start()
+    try:
+        with pytest.raises(StartupError, match="version 9, allowed is 1"):
+            make_driver(bench.paths).link.connect()
+    finally:
+        talking.set()
+        chatter.join()
+
+
+def test_one_port_of_a_robot_with_two_is_explained(make_bench, make_driver):
+    bench = make_bench(ports=2)
+    with pytest.raises(StartupError, match="sensor_port"):
+        make_driver(bench.paths[1:]).link.connect()
