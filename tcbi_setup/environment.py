@@ -4,13 +4,13 @@ import os
 import shutil
 import subprocess
 import sys
-import venv
 
 from tcbi_setup.indexes import pip_settings, uv_environment
 from tcbi_setup.layout import (
     BOOT,
     CUDA_LOCK,
     LOCK,
+    PIP_VENV,
     PRIVATE,
     PYTHON,
     ROOT,
@@ -59,7 +59,7 @@ def install(torch: str) -> bool:
         run("making .venv", [uv, "venv", "--python", sys.executable, VENV], environment, "remove .venv and call again")
     arguments, size = _torch_arguments(torch, environment)
     _check_space(size)
-    command = [uv, "pip", "install", "--python", PYTHON, "--no-deps", *arguments]
+    command = [str(uv), "pip", "install", "--python", str(PYTHON), "--no-deps", *arguments]
     run("installing the locked packages", command, environment, NETWORK)
     patch_cmake_files()
     write(STATE / "environment", key(torch))
@@ -75,7 +75,7 @@ def _discard_unfinished() -> None:
         say("the environment is incomplete or was moved: making it anew")
         remove(VENV)
     if moved:
-        remove(BOOT)
+        (STATE / "pip").unlink(missing_ok=True)
     write(STATE / "root", f"{ROOT}\n")
 
 
@@ -88,19 +88,30 @@ def _is_usable() -> bool:
 
 
 def _boot() -> dict[str, str]:
-    """A small environment that holds the pinned uv; returns the variables to run it with."""
+    """Put the pinned uv into .tcbi/boot; returns the variables to run it with."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    pip = _pip(environment)
     if read(STATE / "boot") != UV_VERSION or not (BOOT / "bin" / "uv").exists():
         remove(BOOT)
-        venv.create(BOOT, with_pip=True)
-        pip = [BOOT / "bin" / "pip", "--disable-pip-version-check", "install", "--quiet", f"uv=={UV_VERSION}"]
-        run("fetching uv", pip, os.environ, NETWORK)
+        options = ["--quiet", "--disable-pip-version-check", "--no-warn-script-location", "--target", str(BOOT)]
+        run("fetching uv", [*pip, "install", *options, f"uv=={UV_VERSION}"], environment, NETWORK)
         write(STATE / "boot", UV_VERSION)
-    environment = uv_environment(os.environ, pip_settings(BOOT / "bin" / "pip"))
-    for name in ("PYTHONPATH", "VIRTUAL_ENV"):
-        environment.pop(name, None)
+    environment = uv_environment(environment, pip_settings(pip, environment))
     if not os.access(os.path.expanduser("~"), os.W_OK):
         environment.setdefault("UV_CACHE_DIR", str(PRIVATE / "cache"))
     return environment
+
+
+def _pip(environment: dict[str, str]) -> list[str]:
+    """How to call pip: the interpreter's own, or where it has none (as on Debian) that of a small environment."""
+    own = [sys.executable, "-m", "pip"]
+    if subprocess.run([*own, "--version"], env=environment, capture_output=True, check=False).returncode == 0:
+        return own
+    if not (STATE / "pip").exists():
+        remove(PIP_VENV)
+        run("preparing pip", [sys.executable, "-m", "venv", PIP_VENV], environment, "install the venv module of Python")
+        write(STATE / "pip", "complete\n")
+    return [str(PIP_VENV / "bin" / "python"), "-m", "pip"]
 
 
 def _torch_arguments(torch: str, environment: dict[str, str]) -> tuple[list[str], str]:

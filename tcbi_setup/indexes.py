@@ -2,13 +2,18 @@
 
 import shlex
 import subprocess
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 
-def pip_settings(pip: Path) -> dict[str, str]:
-    """What pip is configured with (files and environment), the environment winning; keys such as `find-links`."""
-    listing = subprocess.run([pip, "config", "list"], capture_output=True, text=True, check=False).stdout
+def pip_settings(pip: Sequence[str], environment: Mapping[str, str]) -> dict[str, str]:
+    """What pip is configured with (files and environment), the environment winning; keys such as `find-links`.
+
+    Args:
+      pip: command that runs it.
+      environment: to run it in.
+    """
+    command = [*pip, "config", "list"]
+    listing = subprocess.run(command, env=dict(environment), capture_output=True, text=True, check=False).stdout
     ranked: dict[str, tuple[int, str]] = {}
     for line in listing.splitlines():
         name, _, value = line.partition("=")

@@ -13,6 +13,7 @@ PYTHON = VENV / "bin" / "python"
 PRIVATE = ROOT / ".tcbi"
 STATE = PRIVATE / "state"
 BOOT = PRIVATE / "boot"
+PIP_VENV = PRIVATE / "pip"
 LOG = PRIVATE / "log" / "setup.log"
 SOURCE = ROOT / "ros2_ws" / "src"
 WORKSPACE = PRIVATE / "ws"  # apart from ros2_ws/{build,install}, which belong to a plain `colcon build`

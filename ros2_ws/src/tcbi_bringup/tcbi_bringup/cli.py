@@ -97,7 +97,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         return dispatch(words)
     except TcbiError as e:
-        print(f"tcbi: {e}", file=sys.stderr)
+        print(f"tcbi: {' '.join(str(e).split())}", file=sys.stderr)
         return FAULT
     except KeyboardInterrupt:
         print("tcbi: interrupted", file=sys.stderr)
@@ -117,8 +117,11 @@ def dispatch(words: list[str]) -> int:
         print(f"tcbi: {unknown(words[0])}", file=sys.stderr)
         return USAGE
     module = importlib.import_module(command.module)
+    rest = words[1:]
+    if getattr(module, "PASSES_ON", False) and rest[:1] not in (["-h"], ["--help"]):
+        rest = ["--", *rest]  # argparse would take a leading option for its own
     try:
-        args = parser_for(command, module).parse_args(words[1:])
+        args = parser_for(command, module).parse_args(rest)
     except SystemExit as e:  # argparse has printed what is wrong, or the help
         return int(e.code or OK)
     return int(module.run(args))

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -103,7 +104,7 @@ class GraphMonitor:
                 arrivals: collections.deque[float] = collections.deque(maxlen=WINDOW)
                 self._arrivals[topic] = arrivals
                 kind = message_class(type_name)
-                self._node.create_subscription(kind, topic, lambda _, a=arrivals: self._arrived(a), qos, raw=True)
+                self._node.create_subscription(kind, topic, partial(self._arrived, arrivals), qos, raw=True)
 
     def rates(self) -> dict[str, TopicRate]:
         """What `watch` has counted, by topic."""
@@ -115,7 +116,7 @@ class GraphMonitor:
             for topic, times in arrivals.items()
         }
 
-    def _arrived(self, arrivals: collections.deque[float]) -> None:
+    def _arrived(self, arrivals: collections.deque[float], _: bytes) -> None:
         with self._lock:
             arrivals.append(time.monotonic())
 

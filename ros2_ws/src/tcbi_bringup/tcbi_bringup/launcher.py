@@ -300,12 +300,12 @@ class Graph:
         for status in self.status():
             failed = status.state == "given up" or (status.state == "ended" and status.exit_code)
             if failed and status.name not in self._stopping:
-                raise LaunchError(self.explain(status))
+                raise LaunchError(f"{self.explain(status)}; its last lines:\n{self.tail(status.name, 20)}")
 
     def explain(self, status: ProcessStatus) -> str:
-        """Why a process ended, with the last lines of its log."""
+        """Why a process ended, and where its log is."""
         why = status.reason or f"{status.name} ended with {describe_exit(status.exit_code)}"
-        return f"{why}; log {self.log_path(status.name)}, last lines:\n{self.tail(status.name)}"
+        return f"{why}; its log is {self.log_path(status.name)}"
 
     def _add(self, process: NodeProcess) -> None:
         with self._lock:

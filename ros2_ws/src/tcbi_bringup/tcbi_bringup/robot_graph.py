@@ -1,6 +1,8 @@
 """Which processes make a graph: a robot or its simulation, and what acts, records, infers and trains beside it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from tcbi_bringup.errors import LaunchError
@@ -14,24 +16,24 @@ class GraphOptions:
     """What a user asks for.
 
     Attributes:
+      store: folder of models, policies, rollouts and runs.
       robot: "sim", "emulated", or the serial port of a real robot.
       task: task of the simulation's terrain at the start; "" for flat ground.
       policy: what acts at first, e.g. "gait:tripod" or a file; "" for the policy node's own default.
       model: model version to simulate, and to compare with.
       lockstep: simulate as fast as it goes (sim only).
       namespace: before every topic.
-      store: folder of models, policies, rollouts, runs; None for the default.
       seed: of the simulation or the emulated robot.
       learning: start the inference and the retrain node too.
     """
 
+    store: Path
     robot: str = SIM
     task: str = ""
     policy: str = ""
     model: str = "latest"
     lockstep: bool = False
     namespace: str = ""
-    store: Path | None = None
     seed: int = 0
     learning: bool = True
 
@@ -59,55 +61,47 @@ def _ports_present() -> str:
     return f"ports present: {', '.join(found)}" if found else "no serial port is present"
 
 
-def robot_processes(options: GraphOptions, port: Path) -> list[NodeProcess]:
+def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
     """The robot's side of the graph.
 
     Args:
       options: what to start.
-      port: where an emulated robot puts its serial port.
+      folder: short path of a folder for an emulated robot's port and socket.
     """
-    common = {"namespace": options.namespace, "essential": True}
+    node = partial(NodeProcess, namespace=options.namespace, essential=True)
     if options.robot == SIM:
-        parameters = {
-            "mode": "lockstep" if options.lockstep else "realtime",
-            "model": options.model,
-            "seed": options.seed,
-        }
-        parameters |= {"task": options.task} if options.task else {}
-        return [NodeProcess("tcbi_sim", "sim_node", parameters=parameters | _store(options), **common)]
-    driver = NodeProcess(
-        "hexapod_driver",
-        "driver_node",
-        parameters={"port": str(port) if options.robot == EMULATED else options.robot},
-        **common,
-    )
+        mode = "lockstep" if options.lockstep else "realtime"
+        parameters = {"mode": mode, "model": options.model, "seed": options.seed, "task": options.task}
+        return [node("tcbi_sim", "sim_node", parameters={**parameters, "store": str(options.store)})]
     if options.robot != EMULATED:
-        return [driver]
-    arguments = ("--link", str(port), "--seed", str(options.seed))
-    emulated = NodeProcess("tcbi_bringup", "emulated_robot", arguments=arguments, ros=False, essential=True)
-    return [emulated, driver]
+        return [node("hexapod_driver", "driver_node", parameters={"port": options.robot})]
+    port, socket = emulated_port(folder), folder / "socket"
+    arguments = ("--link", str(port), "--socket", str(socket), "--seed", str(options.seed))
+    return [
+        NodeProcess("tcbi_bringup", "emulated_robot", arguments=arguments, ros=False, essential=True),
+        node("hexapod_driver", "driver_node", parameters={"port": str(port)}),
+        node("tcbi_bringup", "experimenter_node", parameters={"socket": str(socket)}, essential=False),
+    ]
+
+
+def emulated_port(folder: Path) -> Path:
+    """Where an emulated robot puts its serial port."""
+    return folder / "port"
 
 
 def companion_processes(options: GraphOptions) -> list[NodeProcess]:
     """All the rest: description, policy, recorder, inference, retraining."""
     clock = {"use_sim_time": True} if options.lockstep else {}
+    store = {"store": str(options.store)}
 
-    def node(package: str, executable: str, **parameters: object) -> NodeProcess:
+    def node(package: str, executable: str, parameters: Mapping[str, object]) -> NodeProcess:
         return NodeProcess(package, executable, namespace=options.namespace, parameters={**parameters, **clock})
 
-    policy = {"policy": options.policy} if options.policy else {}
     nodes = [
-        node("tcbi_sim", "description_node"),
-        node("tcbi_policy", "policy_node", **policy, **_store(options)),
-        node("tcbi_infer", "recorder_node", **_store(options)),
+        node("tcbi_sim", "description_node", {}),
+        node("tcbi_policy", "policy_node", {**store, **({"policy": options.policy} if options.policy else {})}),
+        node("tcbi_infer", "recorder_node", {"folder": str(options.store / "rollouts")}),
     ]
     if options.learning:
-        nodes += [
-            node("tcbi_infer", "inference_node", **_store(options)),
-            node("tcbi_policy", "retrain_node", **_store(options)),
-        ]
+        nodes += [node("tcbi_infer", "inference_node", store), node("tcbi_policy", "retrain_node", store)]
     return nodes
-
-
-def _store(options: GraphOptions) -> dict[str, str]:
-    return {"store": str(options.store)} if options.store else {}

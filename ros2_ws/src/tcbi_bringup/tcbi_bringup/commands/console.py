@@ -3,7 +3,7 @@
     def add_arguments(parser):
         console.add_examples(parser, "./tcbi compare bags/*", "./tcbi compare bag --model hexapod-v1 --json")
         console.add_json(parser)
-        console.add_store(parser)                      # --store FOLDER, default `~/.local/share/tcbi`
+        console.add_store(parser)                      # --store FOLDER, or None, as ModelStore takes it
 
     def run(args) -> int:
         with console.progress("simulating", total=50) as advance:   # bar with ETA, or lines, on stderr
@@ -44,14 +44,19 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def add_store(parser: argparse.ArgumentParser) -> None:
-    """`--store FOLDER`; leave the default to ModelStore by passing on None."""
+    """`--store FOLDER`; pass on None, for which ModelStore knows the default."""
     parser.add_argument(
         "--store",
         type=Path,
-        default=Path(os.environ["TCBI_STORE"]) if os.environ.get("TCBI_STORE") else None,
         metavar="FOLDER",
         help="where models, policies, rollouts and runs are kept (default: TCBI_STORE or ~/.local/share/tcbi)",
     )
+
+
+def store_folder(given: Path | None) -> Path:
+    """The folder that `--store` stands for, absolute; the rule of `tcbi_sim.store`, without its imports."""
+    default = Path(os.environ.get("TCBI_STORE") or Path.home() / ".local" / "share" / "tcbi")
+    return (given or default).expanduser().absolute()
 
 
 def plain(value: Any) -> Any:

@@ -1,13 +1,10 @@
 """`./tcbi doctor`: what is well and what is not, and what to do about it."""
 
 import argparse
-import os
-from pathlib import Path
 
 from tcbi_bringup.commands import console
 
 SUMMARY = "Check environment, versions, build, disk, rendering, ports, and the topics and rates of a running graph."
-DEFAULT_STORE = "~/.local/share/tcbi"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_bringup.domain_lock import present_domain
     from tcbi_bringup.graph_check import graph_checks
 
-    checks = [*environment_checks(store_folder(args.store)), *port_checks(args.port)]
+    checks = [*environment_checks(console.store_folder(args.store)), *port_checks(args.port)]
     if not args.no_graph and not any(c.name in ("interfaces", "domain") and c.status == FAULT for c in checks):
         checks += graph_checks(present_domain(), args.namespace)
     faults = sum(c.status == FAULT for c in checks)
@@ -42,8 +39,3 @@ def run(args: argparse.Namespace) -> int:
             print(f"{'':8}   -> {check.remedy}")
     print(f"{faults} faults, {warnings} warnings")
     return 1 if faults else 0
-
-
-def store_folder(given: Path | None) -> Path:
-    """Where models and rollouts are kept."""
-    return given or Path(os.path.expanduser(os.environ.get("TCBI_STORE") or DEFAULT_STORE))

@@ -9,6 +9,7 @@ from pathlib import Path
 from tcbi_bringup.commands import console
 from tcbi_bringup.errors import BringupError
 
+PASSES_ON = True  # everything goes to pytest as it is
 SUMMARY = "Run linter, formatter check, type checker and all tests; with arguments, pytest alone with these."
 CHECKS = (
     ("ruff check", ("ruff", "check", "--quiet")),

@@ -3,6 +3,7 @@
 import argparse
 import os
 import signal
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -43,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_bringup.domain_lock import hold_domain, present_domain, refuse_second_graph
     from tcbi_bringup.graph_monitor import GraphMonitor
     from tcbi_bringup.launcher import Graph
-    from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes
+    from tcbi_bringup.robot_graph import GraphOptions, companion_processes, emulated_port, robot_processes
 
     options = GraphOptions(
         robot=args.robot,
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         model=args.model,
         lockstep=args.lockstep,
         namespace=args.namespace.strip("/"),
-        store=args.store.resolve() if args.store else None,
+        store=console.store_folder(args.store),
         seed=args.seed,
         learning=not args.no_learning,
     )
@@ -61,13 +62,14 @@ def run(args: argparse.Namespace) -> int:
     asked = end_requests()
     with hold_domain(domain, options.namespace), GraphMonitor(domain, options.namespace) as monitor:
         refuse_second_graph(monitor, domain, options.namespace)
-        port = folder / "port"
-        robot = robot_processes(options, port)
-        with Graph([], domain_id=domain, log_dir=folder, restart=True) as graph:
-            for process in robot:
+        with (
+            tempfile.TemporaryDirectory(prefix="tcbi-") as run_folder,
+            Graph(domain_id=domain, log_dir=folder, restart=True) as graph,
+        ):
+            for process in robot_processes(options, Path(run_folder)):
                 graph.start(process)
                 if not process.ros:
-                    wait_for_port(port, graph, asked)
+                    wait_for_port(emulated_port(Path(run_folder)), graph, asked)
             for process in companion_processes(options):
                 graph.start(process)
             failure = watch(graph, monitor, options, f"ROS domain {domain}, logs in {folder}", asked)
@@ -105,6 +107,7 @@ def wait_for_port(port: Path, graph, asked: Callable[[], bool]) -> None:
     while not port.exists() and not asked():
         for status in graph.status():
             if status.state == "given up":
+                console.note(graph.tail(status.name))
                 raise LaunchError(graph.explain(status))
         if time.monotonic() > deadline:
             raise LaunchError(f"the emulated robot opened no port within {PORT_S:g} s; see {graph.log_dir}")
@@ -123,6 +126,7 @@ def watch(graph, monitor, options, title: str, asked: Callable[[], bool]) -> str
         for status in graph.status():
             if status.state == "given up" and status.essential and not lost:
                 lost.append(graph.explain(status))
+                console.note(graph.tail(status.name))
         return not asked() and not lost
 
     show(f"{options.robot}: {title}", lambda: (graph.status(), monitor.rates()), goes_on)

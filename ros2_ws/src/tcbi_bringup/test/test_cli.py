@@ -1,0 +1,90 @@
+"""The command line: the table, errors in one line, exit statuses."""
+
+import importlib
+import types
+
+import pytest
+
+from tcbi_bringup import cli
+from tcbi_contract.errors import TcbiError
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """A command `compare` whose `run` is the given function."""
+
+    def install(run):
+        module = types.SimpleNamespace(
+            SUMMARY="a summary", add_arguments=lambda parser: parser.add_argument("--size", type=int), run=run
+        )
+        monkeypatch.setattr(cli, "available", lambda: cli.COMMANDS)
+        monkeypatch.setattr(importlib, "import_module", lambda name: module)
+
+    return install
+
+
+def test_the_overview_lists_every_command_that_is_there_under_its_heading(capsys):
+    assert cli.main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for command in cli.available():
+        assert f"  {command.name} " in text and cli.GROUPS[command.group] in text
+
+
+def test_names_are_unique_and_groups_known():
+    assert len({c.name for c in cli.COMMANDS}) == len(cli.COMMANDS)
+    assert {c.group for c in cli.COMMANDS} <= set(cli.GROUPS)
+
+
+@pytest.mark.parametrize("command", cli.available(), ids=lambda c: c.name)
+def test_every_command_explains_itself_with_examples(command, capsys):
+    assert cli.main([command.name, "--help"]) == 0
+    assert "./tcbi" in capsys.readouterr().out
+
+
+def test_a_wrong_command_is_wrong_usage_and_gets_a_hint(capsys):
+    assert cli.main(["rnu"]) == 2
+    assert "did you mean 'run'?" in capsys.readouterr().err
+
+
+def test_no_command_at_all_shows_the_overview_as_wrong_usage(capsys):
+    assert cli.main([]) == 2
+    assert "usage:" in capsys.readouterr().out
+
+
+def test_wrong_options_are_wrong_usage(command, capsys):
+    command(lambda args: 0)
+    assert cli.main(["compare", "--size", "big"]) == 2
+    assert "invalid int value" in capsys.readouterr().err
+
+
+def test_an_error_of_the_user_is_one_line_and_status_1(command, capsys):
+    def fail(args):
+        raise TcbiError("bag x: empty; record it again")
+
+    command(fail)
+    assert cli.main(["compare"]) == 1
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "tcbi: bag x: empty; record it again\n")
+
+
+def test_an_error_over_several_lines_is_still_one_line(command, capsys):
+    def fail(args):
+        raise TcbiError("first\n  second")
+
+    command(fail)
+    assert cli.main(["compare"]) == 1
+    assert capsys.readouterr().err == "tcbi: first second\n"
+
+
+def test_an_interrupt_is_status_130_without_a_traceback(command, capsys):
+    def interrupt(args):
+        raise KeyboardInterrupt
+
+    command(interrupt)
+    assert cli.main(["compare"]) == 130
+    assert capsys.readouterr().err == "tcbi: interrupted\n"
+
+
+def test_the_status_of_a_command_is_passed_on(command):
+    command(lambda args: 1)
+    assert cli.main(["compare"]) == 1

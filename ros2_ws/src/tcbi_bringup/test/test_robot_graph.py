@@ -1,0 +1,63 @@
+"""The composition of a graph agrees with the nodes it starts."""
+
+import dataclasses
+import importlib
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+from tcbi_bringup.errors import LaunchError
+from tcbi_bringup.launcher import NodeProcess
+from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes
+
+EVERYTHING = {"policy": "gait:tripod", "task": "forward", "namespace": "left"}
+
+
+def options(**more) -> GraphOptions:
+    return GraphOptions(store=Path("store"), **more)
+
+
+def every_process() -> list[NodeProcess]:
+    robots = [options(robot="sim", lockstep=True, **EVERYTHING), options(robot="emulated"), options(robot="port")]
+    found = {p.executable: p for o in robots for p in [*robot_processes(o, Path("run")), *companion_processes(o)]}
+    return list(found.values())
+
+
+def declared_parameters(process: NodeProcess) -> dict[str, dataclasses.Field]:
+    """Fields of the parameter dataclass in the module that the executable starts."""
+    entry = next(e for e in entry_points(group="console_scripts", name=process.executable))
+    module = importlib.import_module(entry.module)
+    own = [c for c in vars(module).values() if isinstance(c, type) and dataclasses.is_dataclass(c)]
+    return {f.name: f for c in own for f in dataclasses.fields(c) if "text" in f.metadata}
+
+
+@pytest.mark.parametrize("process", [p for p in every_process() if p.ros], ids=lambda p: p.executable)
+def test_every_parameter_given_to_a_node_is_one_that_it_declares(process):
+    unknown = set(process.parameters) - set(declared_parameters(process)) - {"use_sim_time"}
+    assert not unknown, f"{process.executable} declares {sorted(declared_parameters(process))}"
+
+
+def test_only_a_lockstep_graph_runs_on_simulated_time():
+    for lockstep in (True, False):
+        for process in companion_processes(options(lockstep=lockstep)):
+            assert process.parameters.get("use_sim_time", False) is lockstep
+    for process in robot_processes(options(lockstep=True), Path("run")):
+        assert "use_sim_time" not in process.parameters  # the sim node is the clock
+
+
+def test_lockstep_needs_the_simulation():
+    with pytest.raises(LaunchError, match="--lockstep: got --robot emulated, allowed is sim"):
+        options(robot="emulated", lockstep=True).check()
+
+
+def test_a_port_that_is_not_there_is_named_with_what_is(tmp_path):
+    with pytest.raises(LaunchError, match=r"got '.*nothing', allowed is sim, emulated, or a serial port.*present"):
+        options(robot=str(tmp_path / "nothing")).check()
+
+
+def test_an_emulated_robot_and_its_driver_share_a_port():
+    emulated, driver, experimenter = robot_processes(options(robot="emulated", namespace="left"), Path("run"))
+    assert str(driver.parameters["port"]) in emulated.arguments
+    assert str(experimenter.parameters["socket"]) in emulated.arguments
+    assert driver.namespace == experimenter.namespace == "left"
