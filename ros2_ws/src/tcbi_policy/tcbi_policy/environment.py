@@ -27,6 +27,7 @@ from tcbi_sim.tasks import find_task
 from tcbi_policy.reward import inclination, progress, step_rewards
 
 TIMESTEP_S = 0.01  # implicitfast with the elliptic cone follows finer steps within 0.15 degrees
+SQUASH_BOUND = 3.0  # tanh(3) is 0.995
 
 
 class HexapodVectorEnv(VectorEnv):
@@ -49,7 +50,7 @@ class HexapodVectorEnv(VectorEnv):
           task: a registered task.
           count: B.
           seed: of parameters and scenarios.
-          squash: the action is any real number and the joint target is limit * tanh(action), instead of an action in
+          squash: the action is in [-3, 3] and the joint target is limit * tanh(action), instead of an action in
             [-1, 1] that is multiplied by the limit.
           timestep: s of the physics.
           threads: 0 for all processors.
@@ -61,7 +62,7 @@ class HexapodVectorEnv(VectorEnv):
         self.simulator = Simulator(model, parameters, [room, *scenarios[1:]], timestep, threads)
         joints = len(self.simulator.rig.joint_names)
         self.limit = self.simulator.rig.joint_range
-        bound = np.inf if squash else 1.0
+        bound = SQUASH_BOUND if squash else 1.0
         high = np.full(joints + 3, np.pi, np.float32)
         self.single_observation_space = gymnasium.spaces.Box(-high, high)
         self.single_action_space = gymnasium.spaces.Box(-bound, bound, (joints,), np.float32)

@@ -159,6 +159,10 @@ class Ticker:
         self.missed += behind
         return self._tick(time, needs_attitude)
 
+    def elapsed(self) -> float | None:
+        """Seconds from the first tick to the coming one; None before the first."""
+        return None if self._next is None or self._first is None else (self._next - self._first) / 1e9
+
     def _waits_for_attitude(self, time: int) -> bool:
         assert self._joints.newest is not None
         return (self._attitude.newest or 0) < time and self._joints.newest < time + MAX_AGE

@@ -1,0 +1,266 @@
+"""Train a policy on draws of a model, in a folder that a killed run resumes from.
+
+    python -m tcbi_policy.training RUN_FOLDER [--threads N]
+
+The folder holds `config.json`, `model.json` (the parameters' particles are read from the store named in it), and after a
+while `checkpoint.safetensors` and `policy.safetensors` with its card. Standard output carries one JSON object a line:
+`progress` (steps, mean_return, remaining_s), `evaluation` (on fixed seeds), and `done`.
+
+Every set of episodes starts from a seed made of the run's seed and its number, and a checkpoint is written between sets:
+so PPO gives the same weights whether it was killed or not, on the same machine and library versions.
+"""
+
+import dataclasses
+import datetime
+import importlib.metadata
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import save
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from tcbi_sim.model import Model
+
+from tcbi_policy.artefact import Card, Policy, load_policy, replace_file, save_policy
+from tcbi_policy.configuration import TrainingConfig
+from tcbi_policy.environment import HexapodVectorEnv
+from tcbi_policy.errors import TrainingError
+from tcbi_policy.evaluation import Conditions, draw_conditions, evaluate
+from tcbi_policy.gaits import CYCLES
+from tcbi_policy.imitation import imitate
+from tcbi_policy.mlp import Mlp
+from tcbi_policy.stable_baselines import HexapodVecEnv, from_mlp, restore_tensors, state_tensors, to_mlp
+
+EVALUATION_SEED = 20_000_003  # apart from every training seed; acceptance uses yet another
+Report = Callable[[dict[str, Any]], None]
+
+
+@dataclass
+class State:
+    """How far a run is; kept in the checkpoint."""
+
+    sets: int = 0  # of episodes
+    steps: int = 0
+    elapsed: float = 0.0  # s of wall time, over all its lives
+    cpu: float = 0.0  # s of processor time
+    imitated: bool = False
+    best: float = -np.inf  # mean return on the fixed seeds
+    curve: list[dict[str, float]] = field(default_factory=list)
+
+
+class Training:
+    """One training run in a folder."""
+
+    def __init__(self, folder: Path, config: TrainingConfig, model: Model, start: Policy | None = None, report: Report | None = None):
+        """Prepare a run, or go on with the one in the folder.
+
+        Args:
+          folder: of this run alone.
+          config: checked.
+          model: what the simulations are drawn from.
+          start: a policy to start from; None for scratch (or for `config.imitate`).
+          report: receives every progress object.
+        """
+        self.folder, self.config, self.model, self.start = folder, config.checked(), model, start
+        self._report = report or (lambda _: None)
+        self.state = State()
+        self.conditions: Conditions = draw_conditions(model, config.task, config.evaluations, EVALUATION_SEED)
+        self.environment = HexapodVectorEnv(
+            model, config.task, config.environments, config.seed,
+            squash=config.algorithm == "ppo", timestep=config.timestep, threads=config.threads,
+        )  # fmt: skip
+        torch.set_num_threads(1)  # the same sums in the same order; the physics uses the processors
+        self.algorithm = _algorithm(config, HexapodVecEnv(self.environment, config.reward_scale))
+        self.best: Mlp = self.present()
+        self._began, self._began_cpu = time.monotonic(), time.process_time()
+        self._resumed_at = 0
+        if start is not None:
+            from_mlp(self.algorithm, start.mlp)
+            self.best = self.present()
+
+    def present(self) -> Mlp:
+        """The policy as it is now."""
+        return to_mlp(self.algorithm, self.environment.limit)
+
+    def run(self) -> Policy:
+        """Train until the steps or the budget are used up; the best policy on the fixed seeds, as an artefact."""
+        resumed = self._resume()
+        if self.config.imitate and not self.state.imitated and self.start is None:
+            self._imitate()
+        self.state.imitated = True
+        if not resumed:
+            self._evaluate()
+        if not self.exhausted():
+            self.algorithm.num_timesteps = self.state.steps
+            self.environment.generation = self.state.sets
+            self.algorithm.learn(self.config.steps, callback=_Progress(self), reset_num_timesteps=False)
+        self._clock()
+        self._evaluate()
+        policy = self._artefact()
+        self._save()
+        self._report({"event": "done", "policy": str(policy.path), "policy_id": policy.policy_id, "steps": self.state.steps,
+                      "mean_return": self.state.best, "elapsed_s": self.state.elapsed, "cpu_s": self.state.cpu})  # fmt: skip
+        return policy
+
+    def exhausted(self) -> bool:
+        """Whether the steps or the budget are used up."""
+        self._clock()
+        over_time = 0 < self.config.budget_s <= self.state.elapsed
+        return self.state.steps >= self.config.steps or over_time
+
+    def _clock(self) -> None:
+        now, cpu = time.monotonic(), time.process_time()
+        self.state.elapsed += now - self._began
+        self.state.cpu += cpu - self._began_cpu
+        self._began, self._began_cpu = now, cpu
+
+    def next_set(self) -> None:
+        """Between two sets of episodes: evaluate, save, report, and seed the next one."""
+        self.state.steps = self.algorithm.num_timesteps
+        self.state.sets = self.environment.generation
+        self._clock()
+        if self.state.sets and self.state.sets % self.config.evaluate_every == 0:
+            self._evaluate()
+        self._save()
+        self.progress()
+        seed = [self.config.seed, self.state.sets]
+        np.random.seed(np.random.SeedSequence(seed).generate_state(1))  # noqa: NPY002  the library's shuffles use it
+        torch.manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
+        _freeze_actor(self.algorithm, self.state.sets < self.config.warm_up)
+
+    def progress(self) -> None:
+        """Say how far the run is."""
+        done = self.state.steps / self.config.steps
+        remaining = (1 - done) * self.state.elapsed / done if done > 0 else float("nan")
+        if self.config.budget_s > 0:
+            remaining = np.nanmin([remaining, self.config.budget_s - self.state.elapsed])
+        last = self.state.curve[-1]["mean_return"] if self.state.curve else float("nan")
+        self._report({"event": "progress", "steps": self.state.steps, "total_steps": self.config.steps, "mean_return": last,
+                      "elapsed_s": self.state.elapsed, "remaining_s": max(0.0, float(remaining))})  # fmt: skip
+
+    def _imitate(self) -> None:
+        cycle = CYCLES[self.config.imitate]
+
+        def told(number: int, error: float) -> None:
+            self._report({"event": "imitation", "round": number + 1, "rounds": self.config.imitate_rounds, "error_rad": error})
+
+        teacher = HexapodVectorEnv(
+            self.model, self.config.task, self.config.environments, self.config.seed + 1,
+            timestep=self.config.timestep, threads=self.config.threads,
+        )  # fmt: skip
+        imitate(self.algorithm, teacher, cycle, self.config.imitate_rounds, told)
+
+    def _evaluate(self) -> None:
+        present = self.present()
+        result = evaluate(_Network(present), self.model, self.conditions, self.config.timestep, self.config.threads).summary()
+        self._clock()
+        point = {"steps": self.state.steps, "cpu_s": round(self.state.cpu, 1), **result}
+        self.state.curve.append(point)
+        if result["mean_return"] > self.state.best:
+            self.state.best, self.best = result["mean_return"], present
+        self._report({"event": "evaluation", **point})
+
+    def _artefact(self) -> Policy:
+        spread = self.model.particles.std(axis=0)
+        posterior = {p.name: {"unit": p.unit, "mean": float(m), "sd": float(s)}
+                     for p, m, s in zip(self.model.parameters, self.model.mean(), spread, strict=True)}  # fmt: skip
+        config = dataclasses.asdict(self.config)
+        return save_policy(self.folder / "policy", self.best, Card(
+            name=self.config.task, task=self.config.task, model=self.model.version, posterior=posterior,
+            training={**config, "steps_taken": self.state.steps, "cpu_s": round(self.state.cpu, 1), "mean_return": self.state.best},
+            curve=self.state.curve, libraries=library_versions(), parent=self.start.policy_id if self.start else "",
+            created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        ))  # fmt: skip
+
+    def _save(self) -> None:
+        tensors, texts = state_tensors(self.algorithm)
+        tensors |= {f"best/{name}": torch.as_tensor(array) for name, array in self.best.tensors().items()}
+        texts["state"] = json.dumps(dataclasses.asdict(self.state))
+        replace_file(self.folder / "checkpoint.safetensors", save(tensors, texts))
+
+    def _resume(self) -> bool:
+        path = self.folder / "checkpoint.safetensors"
+        if not path.exists():
+            return False
+        with safe_open(path, "pt") as file:
+            tensors, texts = {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata())  # noqa: SIM118
+        restore_tensors(self.algorithm, tensors, texts)
+        self.state = State(**json.loads(texts["state"]))
+        best = {name.removeprefix("best/"): t.numpy() for name, t in tensors.items() if name.startswith("best/")}
+        self.best = Mlp.from_tensors(best, self.environment.limit)
+        self._report({"event": "resumed", "steps": self.state.steps})
+        return True
+
+
+@dataclass
+class _Network:
+    """A bare network as a controller."""
+
+    mlp: Mlp
+    policy_id: str = "in training"
+    needs_attitude: bool = True
+
+    def reset(self, count: int, rng: np.random.Generator | None = None) -> None:
+        """It has no state."""
+
+    def act(self, time: float, observation: np.ndarray) -> np.ndarray:
+        return self.mlp(observation)
+
+
+class _Progress(BaseCallback):
+    """Stable-Baselines3's hook between sets of episodes."""
+
+    def __init__(self, training: Training):
+        super().__init__()
+        self._training = training
+        self._sets = -1
+
+    def _on_rollout_start(self) -> None:
+        sets = self._training.environment.generation
+        if sets != self._sets:
+            self._sets = sets
+            self._training.next_set()
+
+    def _on_step(self) -> bool:
+        return self._sets < 0 or self._training.environment.generation == self._sets or not self._training.exhausted()
+
+
+def _algorithm(config: TrainingConfig, environment: HexapodVecEnv) -> BaseAlgorithm:
+    layers = {"net_arch": list(config.layers), "activation_fn": torch.nn.Tanh}
+    common: dict[str, Any] = {
+        "learning_rate": config.learning_rate, "batch_size": config.batch_size, "gamma": config.gamma,
+        "seed": config.seed, "device": "cpu",
+    }  # fmt: skip
+    if config.algorithm == "ppo":
+        return PPO(
+            "MlpPolicy", environment, n_steps=environment.inner.steps, n_epochs=config.epochs, gae_lambda=config.gae_lambda,
+            clip_range=config.clip, policy_kwargs={**layers, "log_std_init": float(np.log(config.noise))}, **common,
+        )  # fmt: skip
+    return SAC(
+        "MlpPolicy", environment, tau=config.tau, gradient_steps=config.updates, train_freq=1, buffer_size=config.buffer,
+        learning_starts=10 * config.batch_size, policy_kwargs=layers, **common,
+    )  # fmt: skip
+
+
+def _freeze_actor(algorithm: BaseAlgorithm, frozen: bool) -> None:
+    """Let only the value be fitted, as long as it knows nothing of a policy that is good already."""
+    policy: Any = algorithm.policy
+    if not hasattr(policy, "mlp_extractor"):
+        return
+    for part in (policy.mlp_extractor.policy_net, policy.action_net):
+        part.requires_grad_(not frozen)
+    policy.log_std.requires_grad_(not frozen)
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of what a training depends on."""
+    return {name: importlib.metadata.version(name) for name in ("torch", "stable-baselines3", "mujoco", "numpy")}

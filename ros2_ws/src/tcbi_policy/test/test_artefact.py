@@ -1,0 +1,126 @@
+"""Policies as files: equal to torch, refused by name of what differs, nothing pickled."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tcbi_policy.artefact import Card, find_policy, load_policy, policy_paths, save_policy
+from tcbi_policy.errors import PolicyDamaged, PolicyMisfit, PolicyNotFound
+from tcbi_policy.layout import HEXAPOD, robot_layout
+from tcbi_policy.mlp import Mlp
+
+
+def network(seed: int = 0, sizes: tuple[int, ...] = (21, 256, 256, 18)) -> Mlp:
+    rng = np.random.default_rng(seed)
+    pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
+    weights = tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in pairs)
+    return Mlp(weights, tuple(rng.normal(size=b) * 0.1 for _, b in pairs), np.full(sizes[0], 2.0), HEXAPOD.limit)
+
+
+def saved(folder: Path, **changes: object) -> Path:
+    card = Card(**{"name": "level", "task": "balance", **changes})  # type: ignore[arg-type]
+    path = save_policy(folder / "level", network(), card).path
+    assert path is not None
+    return path
+
+
+def test_numpy_equals_torch_to_a_millionth(tmp_path: Path) -> None:
+    mlp = load_policy(saved(tmp_path)).mlp
+    layers: list[torch.nn.Module] = []
+    for w, b in zip(mlp.weights, mlp.biases, strict=True):
+        linear = torch.nn.Linear(w.shape[1], w.shape[0])
+        with torch.no_grad():
+            linear.weight.copy_(torch.as_tensor(w))
+            linear.bias.copy_(torch.as_tensor(b))
+        layers += [linear, torch.nn.Tanh()]
+    observation = np.random.default_rng(1).normal(0, 0.3, (100, 21))
+    scaled = torch.as_tensor((observation * mlp.observation_scale).astype(np.float32))
+    with torch.no_grad():
+        expected = mlp.limit * torch.nn.Sequential(*layers)(scaled).numpy()
+    np.testing.assert_allclose(mlp(observation), expected, atol=1e-6)
+
+
+def test_targets_stay_within_the_joint_range() -> None:
+    targets = network()(np.random.default_rng(0).normal(0, 100, (50, 21)))
+    assert np.abs(targets).max() <= HEXAPOD.limit
+
+
+def test_what_is_saved_is_what_is_loaded(tmp_path: Path) -> None:
+    path = saved(tmp_path, model="hexapod-v3", curve=[{"steps": 1.0, "mean_return": 2.0}])
+    policy = load_policy(path)
+    assert policy.card.model == "hexapod-v3" and policy.card.curve == [{"steps": 1.0, "mean_return": 2.0}]
+    assert policy.policy_id == f"level@{policy.card.sha256[:8]}"
+    observation = np.ones((3, 21)) * 0.1
+    np.testing.assert_allclose(policy.act(0.0, observation), network()(observation), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("joints", "rate", "says"),
+    [
+        ((*HEXAPOD.action[:-1], "rr_wheel"), 5.0, "needs rr_tibia.*lacks rr_wheel"),
+        ((HEXAPOD.action[1], HEXAPOD.action[0], *HEXAPOD.action[2:]), 5.0, "order differs from entry 0"),
+        (HEXAPOD.action, 10.0, "control rate is 5 Hz, the robot's is 10 Hz"),
+    ],
+)
+def test_a_policy_for_another_robot_is_refused_by_what_differs(tmp_path: Path, joints: tuple[str, ...], rate: float, says: str) -> None:
+    with pytest.raises(PolicyMisfit, match=says):
+        load_policy(saved(tmp_path), robot_layout(joints, rate_hz=rate))
+
+
+def test_weights_of_another_card_are_refused(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    save_policy(tmp_path / "other", network(seed=5), Card("other", "balance"))
+    path.write_bytes((tmp_path / "other.safetensors").read_bytes())
+    with pytest.raises(PolicyDamaged, match="not those that the card describes"):
+        load_policy(path)
+
+
+@pytest.mark.parametrize("damage", ["{}", "not json", '{"format": 99}', "[]"])
+def test_a_damaged_card_is_named(tmp_path: Path, damage: str) -> None:
+    path = saved(tmp_path)
+    path.with_suffix(".json").write_text(damage)
+    with pytest.raises(PolicyDamaged, match=r"level\.safetensors"):
+        load_policy(path)
+
+
+def test_a_network_of_the_wrong_size_is_refused(tmp_path: Path) -> None:
+    save_policy(tmp_path / "small", network(sizes=(20, 8, 18)), Card("small", "balance"))
+    with pytest.raises(PolicyDamaged, match="maps 20 values to 18, its card says 21 to 18"):
+        load_policy(tmp_path / "small.safetensors")
+
+
+def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    torch.save({"layer0.weight": torch.zeros(1)}, path)
+    card = json.loads(path.with_suffix(".json").read_text())
+    import hashlib
+
+    card["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    path.with_suffix(".json").write_text(json.dumps(card))
+    with pytest.raises(PolicyDamaged):
+        load_policy(path)
+
+
+def test_unknown_names_are_answered_with_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(PolicyNotFound, match="tripod"):
+        find_policy("gait:moonwalk")
+    with pytest.raises(PolicyNotFound, match="balance"):
+        find_policy("balnce", tmp_path)
+    with pytest.raises(PolicyNotFound, match="json card"):
+        find_policy(str(tmp_path / "no.safetensors"))
+
+
+def test_a_policy_in_the_store_hides_the_shipped_one(tmp_path: Path) -> None:
+    save_policy(tmp_path / "policies" / "balance", network(), Card("balance", "balance"))
+    assert policy_paths(tmp_path)["balance"].is_relative_to(tmp_path)
+    assert not policy_paths(None)["balance"].is_relative_to(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["balance", "forward"])
+def test_shipped_policies_load_and_fit(name: str) -> None:
+    policy = find_policy(name)
+    assert policy.policy_id.startswith(f"{name}@")
+    assert [w.shape for w in policy.mlp.weights] == [(256, 21), (256, 256), (18, 256)]  # type: ignore[union-attr]
