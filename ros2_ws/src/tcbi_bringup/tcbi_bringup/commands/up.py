@@ -74,7 +74,8 @@ def run(args: argparse.Namespace) -> int:
                 graph.start(process)
             failure = watch(graph, monitor, options, f"ROS domain {domain}, logs in {folder}", asked)
             console.note("stopping")
-            codes = graph.stop()
+            codes = graph.stop(*(s.name for s in graph.status() if s.name != "emulated_robot"))
+            codes |= graph.stop()  # the emulated robot last, so that nobody loses it before
     return report(failure, codes)
 
 

@@ -1,0 +1,118 @@
+"""`./tcbi up`, `run` and `doctor` as a user calls them."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sensor_msgs.msg import JointState
+
+from tcbi_bringup.launcher import NodeProcess
+from tcbi_contract.messages import STREAM_QOS
+from tcbi_contract.names import JOINT_STATES
+
+pytestmark = pytest.mark.graph
+TCBI = [sys.executable, "-P", "-m", "tcbi_bringup.cli"]
+DEADLINE_S = 60.0
+
+
+class Call:
+    """One running `./tcbi …`, its output in a file."""
+
+    def __init__(self, words: list[str], folder: Path) -> None:
+        self.output = folder / f"{words[0]}-{time.monotonic_ns()}.txt"
+        with self.output.open("w") as file:
+            self.process = subprocess.Popen([*TCBI, *words], stdout=file, stderr=subprocess.STDOUT)
+
+    def text(self) -> str:
+        return self.output.read_text()
+
+    def wait_for(self, pattern: str) -> re.Match:
+        deadline = time.monotonic() + DEADLINE_S
+        while not (found := re.search(pattern, self.text(), re.MULTILINE)):
+            assert self.process.poll() is None, self.text()
+            assert time.monotonic() < deadline, f"no {pattern!r} in\n{self.text()}"
+            time.sleep(0.05)
+        return found
+
+    def end(self, kind: int = signal.SIGINT) -> int:
+        self.process.send_signal(kind)
+        return self.process.wait(DEADLINE_S)
+
+
+@pytest.fixture
+def call(domain: int, tmp_path: Path) -> Iterator:
+    """`call("up", …)` starts the command in the test's domain; what still runs at the end is killed."""
+    calls: list[Call] = []
+
+    def start(*words: str) -> Call:
+        calls.append(Call(list(words), tmp_path))
+        return calls[-1]
+
+    yield start
+    for one in calls:
+        if one.process.poll() is None:
+            one.process.kill()
+            one.process.wait()
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_up_starts_the_graph_and_ends_it_without_leaving_a_process(call, peer, tmp_path, kind):
+    up = call("up", "--no-learning", "--store", str(tmp_path / "store"), "--log-dir", str(tmp_path / "log"))
+    got = peer.collect(JOINT_STATES, JointState, STREAM_QOS)
+    peer.wait_until(lambda: len(got) > 50, "a second of joint states")
+    for name in ("policy_node", "recorder_node"):
+        up.wait_for(rf"^{name}: running")
+    pids = [int(pid) for pid in re.findall(r"running, pid (\d+)", up.text())]
+    assert up.end(kind) == 0, up.text()
+    assert re.search(r"all \d processes stopped", up.text())
+    assert len(pids) >= 4 and not [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+
+
+def test_a_second_up_in_the_same_domain_is_refused_in_one_line(call, tmp_path):
+    first = call("up", "--no-learning", "--store", str(tmp_path / "store"), "--log-dir", str(tmp_path / "log"))
+    first.wait_for("^sim_node: running")
+    second = call("up", "--store", str(tmp_path / "store"))
+    assert second.process.wait(DEADLINE_S) == 1
+    assert len(second.text().strip().splitlines()) == 1
+    assert f"already runs in ROS domain {os.environ['ROS_DOMAIN_ID']} (process {first.process.pid})" in second.text()
+    assert first.end() == 0
+
+
+def test_up_is_refused_beside_nodes_that_another_launcher_started(call, start_graph):
+    start_graph(NodeProcess("tcbi_sim", "sim_node"))
+    second = call("up")
+    assert second.process.wait(DEADLINE_S) == 1
+    assert "found /sim_node" in second.text()
+
+
+def test_up_without_its_robot_says_why_and_ends_with_1(call, tmp_path):
+    up = call("up", "--model", "hexapod-v99", "--store", str(tmp_path / "store"), "--log-dir", str(tmp_path / "log"))
+    assert up.process.wait(DEADLINE_S) == 1
+    last = up.text().strip().splitlines()[-1]
+    assert last.startswith("tcbi: sim_node failed 2 times in a row") and "hexapod-v99" in last
+
+
+def test_run_hands_the_process_over_to_the_node(call):
+    node = call("run", "tcbi_sim", "description_node", "--ros-args", "-p", "rig:=hexapod")
+    node.wait_for("description of hexapod")
+    assert node.end() == 0
+
+
+def test_doctor_finds_a_running_graph_well(start_graph, domain, tmp_path):
+    start_graph(NodeProcess("tcbi_sim", "sim_node"))
+    words = [*TCBI, "doctor", "--json", "--store", str(tmp_path)]
+    result = subprocess.run(words, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    report = json.loads(result.stdout)
+    found = {check["name"]: check for check in report["checks"]}
+    assert found["graph"]["found"] == "sim_node"
+    assert found["topic joint_states"]["status"] in ("ok", "warning"), "a busy machine may slow it down"
+    assert "1 publisher" in found["topic joint_states"]["found"]
+    assert report["faults"] == sum(check["status"] == "fault" for check in report["checks"])
+    assert result.returncode == (1 if report["faults"] else 0)
