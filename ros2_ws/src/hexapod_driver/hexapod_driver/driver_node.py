@@ -12,6 +12,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
@@ -101,9 +102,11 @@ class DriverNode(Node):
 
     def _make_inputs(self) -> None:
         self.create_subscription(JointTrajectory, names.JOINT_COMMANDS, self._on_command, messages.STREAM_QOS)
-        self.create_service(Trigger, names.EMERGENCY_STOP, self._on_stop)
-        self.create_service(Trigger, names.RELEASE_EMERGENCY_STOP, self._on_release)
-        self.create_service(ResetEpisode, names.RESET_EPISODE, self._on_reset)
+        # the answers come over the guard condition, which must be free to run while these wait for them
+        waiting = ReentrantCallbackGroup()
+        self.create_service(Trigger, names.EMERGENCY_STOP, self._on_stop, callback_group=waiting)
+        self.create_service(Trigger, names.RELEASE_EMERGENCY_STOP, self._on_release, callback_group=waiting)
+        self.create_service(ResetEpisode, names.RESET_EPISODE, self._on_reset, callback_group=waiting)
         self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._diagnose)
 
     # From the link's thread to this one
