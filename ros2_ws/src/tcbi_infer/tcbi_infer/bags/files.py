@@ -1,5 +1,6 @@
 """Where the recordings are: a bag's folder, a folder of bags, or a bare .mcap file."""
 
+import fcntl
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -8,6 +9,7 @@ from tcbi_infer.bags.writer import UNFINISHED
 from tcbi_infer.errors import BagError
 
 ASIDE = ".damaged"  # suffix of an original that was repaired and kept
+LOCK = ".recorder.lock"  # held by the recorder that uses a folder
 
 
 def mcap_files(bag: Path) -> list[Path]:
@@ -42,7 +44,9 @@ def find_bags(paths: Iterable[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         if path.is_dir() and not is_bag(path):
+            busy = is_recording(path)
             inside = [p for p in sorted(path.iterdir(), key=_natural) if is_bag(p) and not set_aside(p)]
+            inside = [p for p in inside if not (busy and p.suffix == UNFINISHED)]
             if not inside:
                 raise BagError(f"{path}: {_what_instead(path)}")
             found += inside
@@ -59,6 +63,19 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return any(path.glob("*.mcap"))
     return path.suffix == ".mcap" and path.is_file()
+
+
+def is_recording(folder: Path) -> bool:
+    """Whether a recorder uses this folder now, so that an unfinished bag in it is still being written."""
+    lock = folder / LOCK
+    if not lock.is_file():
+        return False
+    with lock.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+    return False
 
 
 def set_aside(path: Path) -> bool:

@@ -135,11 +135,17 @@ class BagWriter:
             raise RecordingError(f"{self.working_path}: cannot be made ({e.strerror}); choose another folder") from e
         self._mcap = McapWriter(self._file, CHUNK_SIZE, CompressionType.ZSTD)  # type: ignore[arg-type]
         self._mcap.start("ros2", LIBRARY)
+        self._header_size = self._file.tell()
 
     @property
     def count(self) -> int:
         """Messages written so far."""
         return self._span.count
+
+    @property
+    def holds_data(self) -> bool:
+        """Whether a chunk of messages is on the disk."""
+        return self._file.tell() > self._header_size
 
     def add_topic(
         self,

@@ -1,0 +1,91 @@
+"""The rollouts that a goal of `collect_rollouts` asks for: its check, and the scenario of each. Knows no ROS."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tcbi_contract.names import SLOPE_LIMIT
+from tcbi_infer.errors import RecordingError
+from tcbi_sim.measurement import Scenario
+from tcbi_sim.tasks import TASKS, find_task
+
+MOST_ROLLOUTS = 10_000
+LONGEST_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Request:
+    """A goal in plain types; see `CollectRollouts.action`."""
+
+    task: str
+    number: int
+    seed: int = 0
+    policy: str = ""  # empty: the one that is loaded; "none": no policy takes part
+    slope_roll: tuple[float, ...] = ()  # rad
+    slope_pitch: tuple[float, ...] = ()  # rad
+    duration_s: float = 0.0
+    model: str = ""
+    folder: str = ""
+
+
+def check(request: Request) -> None:
+    """Raise RecordingError that names everything wrong with a request."""
+    faults = []
+    if request.task not in TASKS:
+        faults.append(f"task: got {request.task!r}, allowed is one of {', '.join(TASKS)}")
+    if not 1 <= request.number <= MOST_ROLLOUTS:
+        faults.append(f"number: got {request.number}, allowed is 1 to {MOST_ROLLOUTS}")
+    if not (request.duration_s == 0 or 0.2 <= request.duration_s <= LONGEST_S):
+        faults.append(
+            f"duration_s: got {request.duration_s}, allowed is 0 (the task's own) or 0.2 to {LONGEST_S:.0f} s"
+        )
+    for name, slopes in (("slope_roll", request.slope_roll), ("slope_pitch", request.slope_pitch)):
+        faults += _slope_faults(name, slopes, request.number)
+    if faults:
+        raise RecordingError("collect_rollouts: " + "; ".join(faults))
+
+
+def _slope_faults(name: str, slopes: Sequence[float], number: int) -> list[str]:
+    if slopes and len(slopes) != number:
+        return [f"{name}: got {len(slopes)} values, allowed are {number} (one a rollout), or none to draw them"]
+    outside = [s for s in slopes if not abs(s) <= SLOPE_LIMIT + 1e-9]
+    return [f"{name}: got {outside[0]}, allowed is -pi/6 to pi/6 rad"] if outside else []
+
+
+def scenario_of(request: Request, index: int) -> Scenario:
+    """The scenario of rollout `index`: the same for the same seed, on any machine, whatever else is asked."""
+    task = find_task(request.task)
+    sequence = np.random.SeedSequence([request.seed, index])
+    seed = int(sequence.generate_state(1)[0])
+    scenario = task.draw(np.random.default_rng(sequence), seed)
+    changes: dict[str, float] = {}
+    if request.slope_roll:
+        changes["slope_roll"] = float(request.slope_roll[index])
+    if request.slope_pitch:
+        changes["slope_pitch"] = float(request.slope_pitch[index])
+    if request.duration_s:
+        changes["duration"] = float(request.duration_s)
+    return dataclasses.replace(scenario, **changes)  # type: ignore[arg-type]
+
+
+def rollout_id(request: Request, index: int, now: float | None = None) -> str:
+    """A name that sorts by time and that no other collection gives: `balance-20261121-004512-s1-003`."""
+    day = time.strftime("%Y%m%d-%H%M%S", time.gmtime(now))
+    return f"{request.task}-{day}-s{request.seed}-{index:03d}"
+
+
+def travelled(start: Sequence[float], end: Sequence[float], orientation: Sequence[float]) -> float:
+    """Metres from start to end along the direction the robot faced at the start.
+
+    Args:
+      start, end: positions in the world, m.
+      orientation: x y z w at the start; where it is no unit quaternion, the robot faced the world's x axis.
+    """
+    x, y, z, w = orientation
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) if abs(norm - 1) < 1e-2 else 0.0
+    return (end[0] - start[0]) * math.cos(yaw) + (end[1] - start[1]) * math.sin(yaw)

@@ -1,0 +1,313 @@
+"""The action `collect_rollouts`: reset, BEGIN, policy on, wait, policy off, END, again and again.
+
+It runs as a coroutine in the node's one thread; between steps it only asks whether something has come true. So nothing
+blocks, and recording goes on meanwhile. Durations are ROS time; patience is wall time.
+"""
+
+import math
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geometry_msgs.msg import Point, Vector3
+from rclpy.serialization import serialize_message
+from std_srvs.srv import SetBool
+
+from tcbi_contract import messages, names
+from tcbi_contract.errors import TcbiError
+from tcbi_infer.bags.folder import RecordingFolder
+from tcbi_infer.bags.note import write_note
+from tcbi_infer.collection import Request, check, rollout_id, scenario_of, travelled
+from tcbi_infer.errors import RecordingError
+from tcbi_msgs.action import CollectRollouts
+from tcbi_msgs.msg import Block, RolloutEvent
+from tcbi_msgs.srv import LoadPolicy, ResetEpisode
+from tcbi_sim.measurement import Scenario
+
+if TYPE_CHECKING:
+    from tcbi_infer.recorder_node import RecorderNode
+
+NO_POLICY = "none"
+CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more means that they are different clocks
+FEEDBACK_S = 0.5  # wall time
+
+
+class CancelledError(TcbiError):
+    """The caller does not want the rest."""
+
+
+class until:  # noqa: N801 - reads as a verb: `await until(...)`
+    """Wait in a coroutine of rclpy until a condition holds or the wall time is over; tells whether it holds."""
+
+    def __init__(self, condition: Callable[[], bool], timeout_s: float = math.inf) -> None:
+        self._condition, self._deadline = condition, time.monotonic() + timeout_s
+
+    def __await__(self) -> Generator[None, None, bool]:
+        while not self._condition():
+            if time.monotonic() > self._deadline:
+                return False
+            yield
+        return True
+
+
+class Collector:
+    """Runs one goal at a time for a recorder node."""
+
+    def __init__(self, node: "RecorderNode") -> None:
+        self.node = node
+        self.busy = False
+        self._rollout_id = ""
+        self._reset = node.create_client(ResetEpisode, names.RESET_EPISODE)
+        self._load = node.create_client(LoadPolicy, names.LOAD_POLICY)
+        self._enable = node.create_client(SetBool, names.ENABLE_POLICY)
+
+    def is_own(self, name: str) -> bool:
+        """Whether this event is the collector's own, heard back."""
+        return bool(self._rollout_id) and name == self._rollout_id
+
+    async def run(self, goal: Any) -> Any:
+        """Serve one goal, and answer whatever happens."""
+        result = CollectRollouts.Result()
+        bags: list[Path] = []
+        try:
+            await self._collect(goal, bags)
+            result.success, result.message = True, f"{len(bags)} rollouts recorded"
+            goal.succeed()
+        except CancelledError as error:
+            result.message = str(error)
+            goal.canceled()
+        except TcbiError as error:
+            result.message = " ".join(str(error).split())
+            self.node.get_logger().error(result.message)
+            goal.abort()
+        finally:
+            self.busy = False
+        result.bags = [str(bag.resolve()) for bag in bags]
+        return result
+
+    async def _collect(self, goal: Any, bags: list[Path]) -> None:
+        request = _request(goal.request)
+        check(request)
+        folder = self._folder(request)
+        try:
+            policy_id = await self._policy(request)
+            for index in range(request.number):
+                bags.append(await self._rollout(goal, request, index, folder, policy_id))
+        finally:
+            if folder is not self.node.folder:
+                folder.close()
+
+    def _folder(self, request: Request) -> RecordingFolder:
+        own = self.node.folder
+        if not request.folder or Path(request.folder).expanduser().resolve() == own.path.resolve():
+            return own
+        folder = RecordingFolder(request.folder)
+        for line in folder.repaired:
+            self.node.get_logger().warning(line)
+        return folder
+
+    # -- one rollout ----------------------------------------------------------------------------------------------
+
+    async def _rollout(self, goal: Any, request: Request, index: int, folder: RecordingFolder, policy_id: str) -> Path:
+        scenario = scenario_of(request, index)
+        self._refuse_if_cancelled(goal)
+        reset = await self._reset_episode(scenario, request.model)
+        begin = self._zero(reset.stamp)
+        event = _event(rollout_id(request, index), scenario, policy_id, reset.source, begin)
+        self._rollout_id = event.rollout_id
+        end = begin + round(scenario.duration * 1e9)
+        self.node.open(folder, event.rollout_id, begin, serialize_message(event), end)
+        self._require_recording()
+        self.node.events.publish(event)
+        try:
+            await self._act(goal, request, index, end)
+            return await self._end(event, end, request)
+        except TcbiError as error:
+            await self._abort(event, str(error), request)
+            raise
+
+    async def _act(self, goal: Any, request: Request, index: int, end: int) -> None:
+        """Policy on, wait for the end, policy off."""
+        node = self.node
+        node.heard_joints_s = time.monotonic()
+        if request.policy != NO_POLICY:
+            await self._set_policy(True)
+        told = 0.0
+        while True:
+            left = (end - node.get_clock().now().nanoseconds) * 1e-9
+            if left <= 0:
+                break
+            self._refuse_if_cancelled(goal)
+            self._require_recording()
+            if time.monotonic() - node.heard_joints_s > node.values.silence_timeout_s:
+                raise RecordingError(
+                    f"no {names.JOINT_STATES} for {node.values.silence_timeout_s:g} s; is the robot's node (sim_node or "
+                    "driver_node) still running?"
+                )
+            if time.monotonic() - told > FEEDBACK_S:
+                told = time.monotonic()
+                self._tell(goal, index, request.number, left)
+            await until(lambda: node.get_clock().now().nanoseconds >= end, 0.05)
+        if request.policy != NO_POLICY:
+            await self._set_policy(False)
+        self._tell(goal, index, request.number, 0.0)
+
+    async def _end(self, event: RolloutEvent, end: int, request: Request) -> Path:
+        node = self.node
+        node.recorder.end(end, time.monotonic())
+        await until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
+        self._require_recording()
+        event.kind, event.note = RolloutEvent.END, ""
+        event.header.stamp = messages.to_stamp(end)
+        event.distance = await self._distance()
+        bag = node.close(event, end)
+        node.events.publish(event)
+        if bag is None:
+            raise RecordingError(node.fault)
+        return bag
+
+    async def _abort(self, event: RolloutEvent, why: str, request: Request) -> None:
+        node = self.node
+        now = max(node.get_clock().now().nanoseconds, messages_ns(event))
+        event.kind, event.note, event.distance = RolloutEvent.ABORT, " ".join(why.split()), math.nan
+        event.header.stamp = messages.to_stamp(now)
+        node.events.publish(event)
+        if node.recorder.rollout is not None:
+            node.close(event, now)
+        if request.policy != NO_POLICY and self._enable.service_is_ready():
+            future = self._enable.call_async(SetBool.Request(data=False))
+            await until(future.done, node.values.service_timeout_s)
+
+    async def _distance(self) -> float:
+        """From the tracker; else what the operator enters in time; else unknown."""
+        from tcbi_infer.recorder_node import first_and_last
+
+        node = self.node
+        pair = first_and_last(node.poses)
+        if pair is not None:
+            (start, orientation), (end, _) = ((_xyz(p.pose.position), _xyzw(p.pose.orientation)) for p in pair)
+            return travelled(start, end, orientation)
+        if node.values.distance_timeout_s > 0:
+            await until(lambda: node.distance is not None, node.values.distance_timeout_s)
+        return math.nan if node.distance is None else node.distance
+
+    def _require_recording(self) -> None:
+        if self.node.recorder.rollout is None:
+            raise RecordingError(self.node.fault or "the rollout is no longer recorded")
+
+    def _refuse_if_cancelled(self, goal: Any) -> None:
+        if goal.is_cancel_requested:
+            raise CancelledError("cancelled")
+
+    def _tell(self, goal: Any, done: int, number: int, remaining_s: float) -> None:
+        feedback = CollectRollouts.Feedback()
+        feedback.done, feedback.number = done, number
+        feedback.rollout_id, feedback.remaining_s = self._rollout_id, remaining_s
+        goal.publish_feedback(feedback)
+
+    # -- the other nodes ------------------------------------------------------------------------------------------
+
+    async def _call(self, client: Any, request: Any, what: str, who: str) -> Any:
+        timeout_s = self.node.values.service_timeout_s
+        if not await until(client.service_is_ready, timeout_s):
+            raise RecordingError(f"nobody offers {what} after {timeout_s:g} s; start {who}")
+        future = client.call_async(request)
+        if not await until(future.done, timeout_s):
+            client.remove_pending_request(future)
+            raise RecordingError(f"{what} was not answered within {timeout_s:g} s; look at the log of {who}")
+        response = future.result()
+        if not response.success:
+            raise RecordingError(f"{what} failed: {response.message}")
+        return response
+
+    async def _reset_episode(self, scenario: Scenario, model: str) -> Any:
+        request = ResetEpisode.Request(
+            task=scenario.task,
+            slope_roll=scenario.slope_roll,
+            slope_pitch=scenario.slope_pitch,
+            blocks=_blocks(scenario),
+            joint_position=list(scenario.initial_joint_position or ()),
+            seed=scenario.seed,
+            model=model,
+            duration=scenario.duration,
+        )
+        return await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
+
+    async def _policy(self, request: Request) -> str:
+        """Load the wanted policy, off for now; returns the name of the one that will act."""
+        if request.policy == NO_POLICY:
+            return ""
+        await self._set_policy(False)
+        if not request.policy:
+            return self.node.policy_id
+        loaded = await self._call(
+            self._load, LoadPolicy.Request(policy=request.policy), names.LOAD_POLICY, "policy_node"
+        )
+        return str(loaded.policy_id)
+
+    async def _set_policy(self, on: bool) -> None:
+        await self._call(self._enable, SetBool.Request(data=on), names.ENABLE_POLICY, "policy_node")
+
+    def _zero(self, stamp: Any) -> int:
+        """The rollout's zero (ns): the stamp of the first sample after the reset."""
+        told = stamp.sec * 1_000_000_000 + stamp.nanosec
+        now = self.node.get_clock().now().nanoseconds
+        if not told:
+            return int(now)
+        apart = abs(told - now) * 1e-9
+        if apart > CLOCK_APART_S:
+            raise RecordingError(
+                f"the robot's clock and the recorder's are {apart:.0f} s apart; start both with the same use_sim_time"
+            )
+        return int(told)
+
+
+def _request(goal: Any) -> Request:
+    return Request(
+        task=goal.task,
+        number=int(goal.number),
+        seed=int(goal.seed),
+        policy=goal.policy,
+        slope_roll=tuple(goal.slope_roll),
+        slope_pitch=tuple(goal.slope_pitch),
+        duration_s=float(goal.duration_s),
+        model=goal.model,
+        folder=goal.folder,
+    )
+
+
+def _event(name: str, scenario: Scenario, policy_id: str, source: str, begin: int) -> RolloutEvent:
+    event = RolloutEvent(
+        rollout_id=name, kind=RolloutEvent.BEGIN, task=scenario.task, policy_id=policy_id, source=source
+    )
+    event.header.stamp = messages.to_stamp(begin)
+    event.slope_roll, event.slope_pitch = scenario.slope_roll, scenario.slope_pitch
+    event.blocks = _blocks(scenario)
+    event.distance = math.nan
+    event.note = write_note("hexapod", scenario)
+    return event
+
+
+def _blocks(scenario: Scenario) -> list[Block]:
+    return [
+        Block(
+            center=Point(**dict(zip("xyz", b.center, strict=True))),
+            size=Vector3(**dict(zip("xyz", b.size, strict=True))),
+            yaw=b.yaw,
+        )
+        for b in scenario.blocks
+    ]
+
+
+def messages_ns(event: RolloutEvent) -> int:
+    """An event's stamp, ns."""
+    return int(event.header.stamp.sec) * 1_000_000_000 + int(event.header.stamp.nanosec)
+
+
+def _xyz(point: Any) -> tuple[float, float, float]:
+    return (point.x, point.y, point.z)
+
+
+def _xyzw(q: Any) -> tuple[float, float, float, float]:
+    return (q.x, q.y, q.z, q.w)
