@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 
+from tcbi_setup import workspace
 from tcbi_setup.indexes import pip_settings, uv_environment
 from tcbi_setup.layout import (
     BOOT,
@@ -56,6 +57,7 @@ def install(torch: str) -> bool:
     write(STATE / "installing", "an environment that is being made\n")
     (STATE / "environment").unlink(missing_ok=True)
     if not PYTHON.exists():
+        workspace.forget()
         run("making .venv", [uv, "venv", "--python", sys.executable, VENV], environment, "remove .venv and call again")
     arguments, size = _torch_arguments(torch, environment)
     _check_space(size)

@@ -27,7 +27,17 @@ def key(package: Path, environment: str) -> str:
 def outdated(environment: str) -> dict[Path, str]:
     """Packages to build, each with the key to record when it is built."""
     keys = {package: key(package, environment) for package in packages()}
-    return {package: k for package, k in keys.items() if read(STATE / "packages" / package.name) != k}
+    return {package: k for package, k in keys.items() if not _is_built(package.name, k)}
+
+
+def _is_built(name: str, key: str) -> bool:
+    return read(STATE / "packages" / name) == key and (WORKSPACE / "install" / name).is_dir()
+
+
+def forget() -> None:
+    """Drop everything that is built: it belongs to an environment that is no more."""
+    remove(STATE / "packages")
+    remove(WORKSPACE)
 
 
 def build(environment: str) -> list[str]:

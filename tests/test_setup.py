@@ -130,9 +130,14 @@ def test_only_what_changed_is_built_again(tmp_path, monkeypatch):
     monkeypatch.setattr(layout, "ROOT", tmp_path)
     monkeypatch.setattr(workspace, "SOURCE", tmp_path / "src")
     monkeypatch.setattr(workspace, "STATE", tmp_path / "state")
+    monkeypatch.setattr(workspace, "WORKSPACE", tmp_path / "ws")
     for package, key in workspace.outdated("e").items():
         write(tmp_path / "state" / "packages" / package.name, key)
+        (tmp_path / "ws" / "install" / package.name).mkdir(parents=True)
     assert workspace.outdated("e") == {}
+    shutil.rmtree(tmp_path / "ws" / "install" / "one")
+    assert [p.name for p in workspace.outdated("e")] == ["one"]
+    (tmp_path / "ws" / "install" / "one").mkdir()
     (tmp_path / "src" / "two" / "msg" / "New.msg").write_text("bool x")
     assert [p.name for p in workspace.outdated("e")] == ["two"]
     assert [p.name for p in workspace.outdated("another environment")] == ["one", "two"]
