@@ -60,6 +60,7 @@ COMMANDS = (
     Command("infer", "infer", "posterior of the parameters from bags"),
     Command("train", "infer", "train a policy for a task on a model"),
     Command("retrain", "infer", "train the running policy's successor on the posterior"),
+    Command("policy", "infer", "list, show and measure policies"),
     Command("history", "watch", "the error of each model version"),
     Command("export-model", "watch", "write a model version as MJCF"),
     Command("view", "watch", "show a model version, or render a picture and a video"),

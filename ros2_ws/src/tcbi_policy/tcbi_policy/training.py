@@ -1,10 +1,10 @@
 """Train a policy on draws of a model, in a folder that a killed run resumes from.
 
-    python -m tcbi_policy.training RUN_FOLDER [--threads N]
+    python -m tcbi_policy.training RUN_FOLDER
 
-The folder holds `config.json`, `model.json` (the parameters' particles are read from the store named in it), and after a
-while `checkpoint.safetensors` and `policy.safetensors` with its card. Standard output carries one JSON object a line:
-`progress` (steps, mean_return, remaining_s), `evaluation` (on fixed seeds), and `done`.
+The folder holds `run.json` (see runs.py), and after a while `checkpoint.safetensors` and `policy.safetensors` with its
+card. Standard output carries one JSON object a line, each with an `event`: `resumed`, `imitation`, `progress` (steps,
+mean_return, remaining_s), `evaluation` (on fixed seeds), `done`, and, where there is a rival, `comparison`.
 
 Every set of episodes starts from a seed made of the run's seed and its number, and a checkpoint is written between sets:
 so PPO gives the same weights whether it was killed or not, on the same machine and library versions.
@@ -28,19 +28,23 @@ from safetensors.torch import save
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from tcbi_contract.errors import TcbiError
 from tcbi_sim.model import Model
+from tcbi_sim.store import ModelStore
 
-from tcbi_policy.artefact import Card, Policy, load_policy, replace_file, save_policy
+from tcbi_policy.artefact import Card, Policy, find_policy, replace_file, save_policy
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
-from tcbi_policy.evaluation import Conditions, draw_conditions, evaluate
+from tcbi_policy.evaluation import Conditions, compare_paired, draw_conditions, evaluate
 from tcbi_policy.gaits import CYCLES
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
+from tcbi_policy.runs import Run
 from tcbi_policy.stable_baselines import HexapodVecEnv, from_mlp, restore_tensors, state_tensors, to_mlp
 
-EVALUATION_SEED = 20_000_003  # apart from every training seed; acceptance uses yet another
+EVALUATION_SEED = 20_000_003  # apart from every training seed
+ACCEPTANCE_SEED = 30_000_001  # held out from training and from the choice of the best policy alike
 Report = Callable[[dict[str, Any]], None]
 
 
@@ -264,3 +268,46 @@ def _freeze_actor(algorithm: BaseAlgorithm, frozen: bool) -> None:
 def library_versions() -> dict[str, str]:
     """Versions of what a training depends on."""
     return {name: importlib.metadata.version(name) for name in ("torch", "stable-baselines3", "mujoco", "numpy")}
+
+
+def train_run(folder: Path, report: Report) -> None:
+    """Run, or go on with, the training in a folder, and compare its result with the rival."""
+    run = Run.from_folder(folder)
+    store = ModelStore(run.store or None)
+    model = store.load(run.model)
+    start = find_policy(run.start, store.root) if run.start else None
+    if start is not None and not isinstance(start, Policy):
+        raise TrainingError(f"training cannot start from the scripted gait {run.start}; name a trained policy, or none")
+    rival = find_policy(run.rival, store.root) if run.rival else None
+    policy = Training(folder, run.config, model, start, report).run()
+    if rival is None:
+        return
+    conditions = draw_conditions(model, run.config.task, run.pairs, ACCEPTANCE_SEED + run.config.seed)
+    timing = (run.config.timestep, run.config.threads)
+    comparison = compare_paired(evaluate(rival, model, conditions, *timing), evaluate(policy, model, conditions, *timing))
+    report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, "better": comparison.better,
+            "before": comparison.before, "after": comparison.after, "gain": comparison.gain, "gain_at_least": comparison.low,
+            "pairs": comparison.pairs, "statement": comparison.statement()})  # fmt: skip
+
+
+def main(args: list[str] | None = None) -> int:
+    """The subprocess's entry point."""
+    words = sys.argv[1:] if args is None else args
+    if len(words) != 1:
+        sys.stderr.write("usage: python -m tcbi_policy.training RUN_FOLDER\n")
+        return 2
+
+    def report(event: dict[str, Any]) -> None:
+        sys.stdout.write(json.dumps(event) + "\n")
+        sys.stdout.flush()
+
+    try:
+        train_run(Path(words[0]), report)
+    except TcbiError as error:
+        sys.stderr.write(f"{' '.join(str(error).split())}\n")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

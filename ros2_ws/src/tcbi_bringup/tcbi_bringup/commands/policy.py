@@ -1,0 +1,87 @@
+"""`./tcbi policy`: list, show and measure policies."""
+
+import argparse
+from typing import Any
+
+from tcbi_bringup.commands import console
+
+SUMMARY = "List the policies, show one's card, or measure it in simulations drawn from a model."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to look at."""
+    parser.add_argument("policy", nargs="?", default="", help="policy file, its name, or gait:NAME; nothing lists all")
+    parser.add_argument("--measure", action="store_true", help="roll it out and report return, inclination and distance")
+    parser.add_argument("--task", default="", help="task to measure it in (default: the one that it was trained for)")
+    parser.add_argument("--model", default="latest", help="model version whose parameters are drawn (default: the newest)")
+    parser.add_argument("--rollouts", type=int, default=64, help="how many rollouts to measure with (default: 64)")
+    parser.add_argument("--seed", type=int, default=1, help="of parameters and scenarios (default: 1)")
+    console.add_store(parser)
+    console.add_json(parser)
+    console.add_examples(
+        parser,
+        "./tcbi policy",
+        "./tcbi policy balance",
+        "./tcbi policy gait:tripod --measure --task forward --rollouts 32",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """List, show or measure."""
+    from tcbi_policy.artefact import find_policy
+    from tcbi_sim.store import ModelStore
+
+    store = ModelStore(args.store)
+    if not args.policy:
+        return _list(args, store.root)
+    policy = find_policy(args.policy, store.root)
+    facts = _facts(policy)
+    if args.measure:
+        facts["measured"] = _measure(args, store, policy)
+    if args.json:
+        console.emit(facts)
+    else:
+        rows = [[key, value] for key, value in {**facts, **facts.pop("measured", {})}.items()]
+        console.table(policy.policy_id, ["what", "value"], rows)
+    return 0
+
+
+def _list(args: argparse.Namespace, root: Any) -> int:
+    from tcbi_policy.artefact import GAIT_PREFIX, find_policy, policy_paths
+    from tcbi_policy.gaits import GAITS
+
+    policies = [_facts(find_policy(name, root)) for name in policy_paths(root)]
+    gaits = [f"{GAIT_PREFIX}{name}" for name in GAITS]
+    if args.json:
+        console.emit({"policies": policies, "gaits": gaits})
+        return 0
+    rows = [[p["policy_id"], p["task"], p["model"], p["mean_return"], p["created"]] for p in policies]
+    console.table("trained policies", ["policy", "task", "model", "mean return", "made"], rows)
+    print(f"scripted gaits: {', '.join(gaits)}")
+    return 0
+
+
+def _facts(policy: Any) -> dict[str, Any]:
+    from tcbi_policy.artefact import Policy
+
+    if not isinstance(policy, Policy):
+        return {"policy_id": policy.policy_id, "task": "", "description": "scripted gait"}
+    card = policy.card
+    return {
+        "policy_id": policy.policy_id, "task": card.task, "model": card.model, "parent": card.parent, "created": card.created,
+        "algorithm": card.training.get("algorithm"), "steps": card.training.get("steps_taken"), "cpu_s": card.training.get("cpu_s"),
+        "seed": card.training.get("seed"), "mean_return": card.training.get("mean_return"), "path": str(policy.path),
+    }  # fmt: skip
+
+
+def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any]:
+    from tcbi_policy.artefact import Policy
+    from tcbi_policy.errors import PolicyError
+    from tcbi_policy.evaluation import draw_conditions, evaluate
+
+    task = args.task or (policy.card.task if isinstance(policy, Policy) else "")
+    if not task:
+        raise PolicyError(f"{policy.policy_id} belongs to no task; say --task balance or --task forward")
+    model = store.load(args.model)
+    found = evaluate(policy, model, draw_conditions(model, task, args.rollouts, args.seed)).summary()
+    return {"task": task, "model": model.version, **found}

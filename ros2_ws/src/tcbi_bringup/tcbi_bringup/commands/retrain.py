@@ -1,0 +1,64 @@
+"""`./tcbi retrain`: train the successor of a policy on a model's posterior, and keep it if it is better."""
+
+import argparse
+from typing import Any
+
+from tcbi_bringup.commands import console
+
+SUMMARY = "Train a policy's successor on a model's posterior; it is kept only if it is better with confidence."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which policy, on which model, and for how long."""
+    parser.add_argument("--task", required=True, help="balance or forward")
+    parser.add_argument("--policy", default="", help="the policy to beat, and to start from (default: the newest of the task)")
+    parser.add_argument("--scratch", action="store_true", help="train from scratch instead of from that policy")
+    parser.add_argument("--model", default="latest", help="model version whose posterior is drawn from (default: the newest)")
+    parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
+    parser.add_argument("--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)")
+    parser.add_argument("--budget", type=float, default=0.0, metavar="SECONDS", help="stop training after this time, too")
+    console.add_store(parser)
+    console.add_json(parser)
+    console.add_examples(
+        parser,
+        "./tcbi retrain --task balance",
+        "./tcbi retrain --task balance --model hexapod-v2 --policy balance-1 --budget 120 --json",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, compare, keep."""
+    from tcbi_bringup.commands.train import follow
+    from tcbi_policy.retraining import SCRATCH, Job, plan, retrain
+    from tcbi_sim.store import ModelStore
+
+    root = ModelStore(args.store).root
+    current = args.policy or newest(args.task, root)
+    start = SCRATCH if args.scratch else ""
+    job = Job(args.task, current, start, args.model, root, args.budget, args.steps, args.seed)
+    planned = plan(job)
+    console.note(f"training against {current} on {planned.model}")
+    with console.progress("training", total=planned.config.steps) as advance:
+        outcome = retrain(job, lambda event: follow(event, advance))
+    result: dict[str, Any] = {
+        "accepted": outcome.accepted, "policy": outcome.path, "name": outcome.reference, "rival": current, "task": args.task,
+        "model": planned.model, "return_before": outcome.return_before, "return_after": outcome.return_after,
+        "message": outcome.message,
+    }  # fmt: skip
+    if args.json:
+        console.emit(result)
+    else:
+        print(f"{outcome.reference or 'not kept'}: {outcome.message}")
+    return 0
+
+
+def newest(task: str, root: Any) -> str:
+    """The policy of this task that was made last: in the store, else the shipped one."""
+    from tcbi_policy.artefact import Policy, find_policy, policy_paths
+    from tcbi_policy.errors import PolicyNotFound
+
+    policies = [find_policy(name, root) for name in policy_paths(root)]
+    known = [p for p in policies if isinstance(p, Policy) and p.card.task == task]
+    if not known:
+        raise PolicyNotFound(f"no policy for task {task!r} exists; make one with ./tcbi train --task {task}")
+    return max(known, key=lambda p: p.card.created).card.name

@@ -1,0 +1,102 @@
+"""`./tcbi train`: train a policy for a task on draws of a model."""
+
+import argparse
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any
+
+from tcbi_bringup.commands import console
+
+SUMMARY = "Train a policy for a task in simulations drawn from a model; a run that was interrupted goes on."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to train, on what, and for how long."""
+    parser.add_argument("--task", required=True, help="balance or forward")
+    parser.add_argument("--preset", default="fast", help="fast (minutes, PPO) or paper (half a day, SAC as in the paper)")
+    parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
+    parser.add_argument("--out", default="", help="name in the store, or path of a .safetensors file (default: TASK-N)")
+    parser.add_argument("--model", default="latest", help="model version whose parameters are drawn (default: the newest)")
+    parser.add_argument("--start", default="", help="policy to go on from (default: from scratch)")
+    parser.add_argument("--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)")
+    parser.add_argument("--budget", type=float, default=0.0, metavar="SECONDS", help="stop after this time, too")
+    console.add_store(parser)
+    console.add_json(parser)
+    console.add_examples(
+        parser,
+        "./tcbi train --task balance",
+        "./tcbi train --task forward --seed 3 --out walker --json",
+        "./tcbi train --task balance --model hexapod-v2 --start balance --budget 120",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, and keep the result."""
+    from tcbi_policy.retraining import next_name
+    from tcbi_policy.runs import TrainingProcess, write_run
+    from tcbi_sim.store import ModelStore
+
+    store = ModelStore(args.store)
+    planned = _plan(args, store)
+    folder = write_run(store.folder("runs") / planned.key("train"), planned)
+    console.note(f"training {args.task} on {planned.model}; interrupted, the same command goes on from {folder}")
+    done: dict[str, Any] = {}
+    with TrainingProcess(folder) as process, console.progress("training", total=planned.config.steps) as advance:
+        for event in process.events():
+            follow(event, advance)
+            done = event if event["event"] == "done" else done
+    path = _publish(folder, args.out or next_name(store.root, args.task), store.root)
+    result = {"policy": str(path), "policy_id": f"{path.stem}@{done['policy_id'].partition('@')[2]}", "task": args.task,
+              "model": planned.model, "steps": done["steps"], "mean_return": done["mean_return"],
+              "seconds": done["elapsed_s"], "cpu_seconds": done["cpu_s"]}  # fmt: skip
+    if args.json:
+        console.emit(result)
+    else:
+        print(f"{result['policy_id']}: mean return {result['mean_return']:.0f} after {result['steps']} steps, {path}")
+    return 0
+
+
+def _plan(args: argparse.Namespace, store: Any) -> Any:
+    from tcbi_policy.artefact import find_policy
+    from tcbi_policy.configuration import preset
+    from tcbi_policy.retraining import fine_tuning
+    from tcbi_policy.runs import Run
+
+    config = preset(args.preset, args.task)
+    if args.start:
+        find_policy(args.start, store.root)
+        config = fine_tuning(config)
+    changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "steps": args.steps or config.steps}
+    return Run(dataclasses.replace(config, **changes).checked(), store.load(args.model).version, str(store.root), args.start)
+
+
+def _publish(folder: Path, out: str, root: Path) -> Path:
+    """Keep the policy under a name in the store or as a file; the run's folder is then done with."""
+    import shutil
+
+    from tcbi_policy.artefact import load_policy, save_policy
+
+    to_file = out.endswith(".safetensors") or os.sep in out
+    stem = Path(out).expanduser().with_suffix("") if to_file else root / "policies" / out
+    trained = load_policy(folder / "policy.safetensors")
+    path = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name)).path
+    assert path is not None
+    shutil.rmtree(folder, ignore_errors=True)
+    return path
+
+
+def follow(event: dict[str, Any], advance: Any) -> None:
+    """Show one event of a training."""
+    kind = event["event"]
+    if kind == "progress":
+        advance(done=event["steps"], note=f"mean return {event['mean_return']:.0f}")
+    elif kind == "evaluation":
+        console.note(
+            f"{event['steps']} steps: return {event['mean_return']:.0f} +- {event['sd_return']:.0f}, "
+            f"final inclination {event['final_inclination_deg']:.1f} degrees, distance {event['distance_m']:.2f} m"
+        )
+    elif kind == "imitation":
+        console.note(f"copies the gait, round {event['round']} of {event['rounds']}: off by {event['error_rad']:.3f} rad")
+    elif kind in ("resumed", "restarted"):
+        console.note(event.get("reason") or f"goes on from {event['steps']} steps")

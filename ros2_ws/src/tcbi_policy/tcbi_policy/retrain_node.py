@@ -1,0 +1,135 @@
+"""The action `retrain`: trains in a subprocess while the graph goes on, and swaps a better policy in."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from std_msgs.msg import String
+from tcbi_contract import messages, names
+from tcbi_contract.errors import TcbiError
+from tcbi_contract.parameters import declare, parameter
+from tcbi_contract.running import run
+from tcbi_msgs.action import Retrain
+from tcbi_msgs.srv import LoadPolicy
+from tcbi_sim.store import LATEST, default_root
+
+from tcbi_policy.retraining import Event, Job, Outcome, reference_of, retrain
+
+SWAP_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True)
+class RetrainParameters:
+    """Parameters of the retrain node."""
+
+    store: str = parameter("", "folder of the store; empty for ~/.local/share/tcbi")
+    threads: int = parameter(0, "processors for the physics; 0 for all", low=0, high=256)
+    fallback_policy: str = parameter("gait:stand", "what a new policy must beat while no policy node runs")
+
+
+class RetrainNode(Node):
+    """One training at a time; the action runs in a thread of the executor."""
+
+    def __init__(self) -> None:
+        super().__init__("retrain_node")
+        self.values = declare(self, RetrainParameters)
+        self._store = Path(self.values.store).expanduser() if self.values.store else default_root()
+        self._busy = False
+        self._in_use = ""
+        self._state: dict[str, Any] = {"state": "idle"}
+        training, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
+        self.create_subscription(String, names.POLICY_STATUS, self._on_policy, messages.LATCHED_QOS, callback_group=rest)
+        self._load = self.create_client(LoadPolicy, names.LOAD_POLICY, callback_group=rest)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._diagnose, clock=steady, callback_group=rest)
+        self._server = ActionServer(
+            self, Retrain, names.RETRAIN, self._execute, callback_group=training,
+            goal_callback=self._on_goal, cancel_callback=self._on_cancel,
+        )  # fmt: skip
+
+    def _on_policy(self, message: String) -> None:
+        self._in_use = message.data
+
+    def _on_goal(self, goal: Retrain.Goal) -> GoalResponse:
+        if self._busy:
+            self.get_logger().warning("a training is running; cancel it first")
+            return GoalResponse.REJECT
+        self._busy = True
+        return GoalResponse.ACCEPT
+
+    def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        return CancelResponse.ACCEPT
+
+    def _execute(self, handle: ServerGoalHandle) -> Retrain.Result:
+        result = Retrain.Result(return_before=math.nan, return_after=math.nan)
+        try:
+            job = self._job(handle.request)
+            self.get_logger().info(f"training for {job.task} on model {job.model}, against {job.current}")
+            outcome = retrain(job, lambda event: self._on_event(handle, event), lambda: bool(handle.is_cancel_requested))
+            self._finish(handle, result, outcome)
+        except TcbiError as error:
+            result.message = str(error)
+            self.get_logger().error(result.message)
+            handle.abort()
+        finally:
+            self._busy = False
+            self._state = {"state": "idle", "last": result.message}
+        return result
+
+    def _job(self, goal: Retrain.Goal) -> Job:
+        current = reference_of(self._in_use, self._store) if self._in_use else self.values.fallback_policy
+        return Job(
+            task=goal.task, current=current, start=goal.policy, model=goal.model or LATEST, store=self._store,
+            budget_s=goal.budget_s, budget_steps=goal.budget_steps, seed=goal.seed, threads=self.values.threads,
+        )  # fmt: skip
+
+    def _on_event(self, handle: ServerGoalHandle, event: Event) -> None:
+        if event["event"] in ("progress", "done"):
+            steps, mean_return = int(event["steps"]), float(event["mean_return"])
+            remaining_s = float(event.get("remaining_s", 0.0))
+            handle.publish_feedback(Retrain.Feedback(steps=steps, mean_return=mean_return, remaining_s=remaining_s))
+            self._state = {"state": "training", "steps": steps, "mean return": f"{mean_return:.0f}", "remaining (s)": f"{remaining_s:.0f}"}
+        elif event["event"] in ("resumed", "restarted"):
+            self.get_logger().warning(f"training {event['event']}: {event.get('reason', 'from its last checkpoint')}")
+
+    def _finish(self, handle: ServerGoalHandle, result: Retrain.Result, outcome: Outcome) -> None:
+        result.accepted, result.policy, result.message = outcome.accepted, outcome.path, outcome.message
+        result.return_before, result.return_after = outcome.return_before, outcome.return_after
+        if outcome.cancelled:
+            handle.canceled()
+            return
+        result.success = True
+        if outcome.accepted:
+            result.message += f"; {self._swap(outcome.reference)}"
+        self.get_logger().info(result.message)
+        handle.succeed()
+
+    def _swap(self, reference: str) -> str:
+        """Ask the policy node to take the policy; what came of it, in words."""
+        if not self._load.wait_for_service(SWAP_TIMEOUT_S):
+            return f"kept as {reference}: no policy node runs that could take it"
+        response = self._load.call(LoadPolicy.Request(policy=reference), timeout_sec=SWAP_TIMEOUT_S)
+        if response is None:
+            return f"kept as {reference}: the policy node did not answer"
+        return f"now in use as {response.policy_id}" if response.success else f"kept as {reference}: {response.message}"
+
+    def _diagnose(self) -> None:
+        status = DiagnosticStatus(level=DiagnosticStatus.OK, name="retrain_node", message=str(self._state["state"]))
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in self._state.items() if key != "state"]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run("retrain_node", RetrainNode, args, threads=4)

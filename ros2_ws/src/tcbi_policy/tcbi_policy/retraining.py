@@ -1,0 +1,183 @@
+"""Train a successor of a policy on a model version, and say with confidence whether it is better.
+
+    outcome = retrain(Job("balance", model="hexapod-v2", current="balance", store=root), on_event, cancelled)
+    if outcome.accepted: load outcome.reference into the policy node
+
+The training runs in a subprocess in a folder of the store that belongs to the job: whoever dies, subprocess or caller, the
+next call with the same job goes on from the last checkpoint. A successor is accepted only if its return is higher with
+95 % confidence on draws of the model that neither the training nor the choice of the best policy has seen; accepted ones
+are kept in the store under the next free name (`balance-1`, `balance-2`, ...).
+"""
+
+import dataclasses
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tcbi_contract.errors import describe
+from tcbi_sim.store import LATEST, ModelStore
+
+from tcbi_policy.artefact import GAIT_PREFIX, Policy, find_policy, load_policy, policy_paths, save_policy
+from tcbi_policy.configuration import TrainingConfig, preset
+from tcbi_policy.errors import PolicyNotFound, TrainingError
+from tcbi_policy.runs import Run, TrainingProcess, write_run
+
+SCRATCH = "none"
+RESTARTS = 3  # of a subprocess that dies
+POLL_S = 0.1
+Event = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A wish for a better policy."""
+
+    task: str
+    current: str  # the policy in use, which the successor must beat
+    start: str = ""  # to start from: empty for the one in use, "none" for scratch
+    model: str = LATEST
+    store: Path | None = None
+    budget_s: float = 0.0  # 0: no limit in time
+    budget_steps: int = 0  # 0: the preset's
+    seed: int = 0
+    threads: int = 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job."""
+
+    accepted: bool
+    cancelled: bool
+    reference: str  # name of the accepted policy in the store; empty otherwise
+    path: str
+    return_before: float
+    return_after: float
+    message: str
+
+
+def plan(job: Job) -> Run:
+    """The training run of a job.
+
+    Raises:
+      TcbiError: an unknown task, model or policy, or a policy of another task to start from.
+    """
+    store = ModelStore(job.store)
+    model = store.load(job.model)
+    current = find_policy(job.current, store.root)
+    start = _start(job, store.root)
+    config = preset("fast", job.task)
+    if start:
+        config = fine_tuning(config)
+    changes: dict[str, Any] = {"seed": job.seed, "budget_s": job.budget_s, "threads": job.threads}
+    if job.budget_steps:
+        changes["steps"] = job.budget_steps
+    rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
+    return Run(dataclasses.replace(config, **changes).checked(), model.version, str(store.root), start, rival)
+
+
+def _start(job: Job, root: Path) -> str:
+    reference = job.start or job.current
+    if reference == SCRATCH or (not job.start and reference.startswith(GAIT_PREFIX)):
+        return ""
+    policy = find_policy(reference, root)
+    if not isinstance(policy, Policy):
+        raise TrainingError(describe("policy to start from", reference, "a trained policy, or none for scratch"))
+    if policy.card.task != job.task:
+        if not job.start:
+            return ""  # the policy in use does something else, which is no start for this task
+        raise TrainingError(describe(f"task of policy {reference}", policy.card.task, job.task, "or start from none"))
+    return reference
+
+
+def fine_tuning(config: TrainingConfig) -> TrainingConfig:
+    """Settings to go on from a policy that is good already: explore less, and learn its value before changing it."""
+    noise = min(config.noise, 0.2)
+    return dataclasses.replace(config, imitate="", warm_up=max(config.warm_up, 2), noise=noise, learning_rate=3e-4)
+
+
+def retrain(job: Job, on_event: Callable[[Event], None], cancelled: Callable[[], bool] = lambda: False) -> Outcome:
+    """Do a job.
+
+    Args:
+      job: what to do.
+      on_event: receives the events of training.py.
+      cancelled: asked ten times a second; once it is true the training ends within a second.
+
+    Raises:
+      TcbiError: the job cannot be done, or the training failed again and again.
+    """
+    run = plan(job)
+    store = ModelStore(job.store)
+    folder = write_run(store.folder("runs") / run.key("retrain"), run)
+    comparison = _follow(folder, on_event, cancelled)
+    if comparison is None:
+        message = "cancelled; the same request goes on from the last checkpoint"
+        return Outcome(False, True, "", "", float("nan"), float("nan"), message)
+    before, after, statement = comparison["before"], comparison["after"], comparison["statement"]
+    reference, path = "", str(folder / "policy.safetensors")
+    if comparison["better"]:
+        policy = publish(folder, store.root, run.config.task)
+        reference, path = policy.card.name, str(policy.path)
+        shutil.rmtree(folder, ignore_errors=True)
+    else:
+        (folder / "checkpoint.safetensors").unlink(missing_ok=True)  # the same request later starts afresh
+    return Outcome(comparison["better"], False, reference, path, before, after, statement)
+
+
+def _follow(folder: Path, on_event: Callable[[Event], None], cancelled: Callable[[], bool]) -> Event | None:
+    """Run the subprocess, again if it dies; the comparison at its end, or None if cancelled."""
+    for attempt in range(RESTARTS + 1):
+        try:
+            with TrainingProcess(folder) as process:
+                return _listen(process, on_event, cancelled)
+        except TrainingError as error:
+            if attempt == RESTARTS or "ended with status" in str(error):
+                raise
+            on_event({"event": "restarted", "reason": str(error)})
+    raise TrainingError(f"training in {folder} did not end")
+
+
+def _listen(process: TrainingProcess, on_event: Callable[[Event], None], cancelled: Callable[[], bool]) -> Event | None:
+    comparison: Event | None = None
+    while True:
+        if cancelled():
+            return None
+        event, closed = process.poll(POLL_S)
+        if closed:
+            process.check()
+            if comparison is None:
+                raise TrainingError("training ended without a comparison")
+            return comparison
+        if event is not None:
+            comparison = event if event["event"] == "comparison" else comparison
+            on_event(event)
+
+
+def publish(folder: Path, root: Path, task: str, name: str = "") -> Policy:
+    """Keep a run's policy in the store under a name, by default the next free one of its task."""
+    trained = load_policy(folder / "policy.safetensors")
+    name = name or next_name(root, task)
+    return save_policy(root / "policies" / name, trained.mlp, dataclasses.replace(trained.card, name=name))
+
+
+def next_name(root: Path, task: str) -> str:
+    """The first free name `task-<n>` in the store."""
+    taken = policy_paths(root)
+    return next(name for name in (f"{task}-{n}" for n in range(1, len(taken) + 2)) if name not in taken)
+
+
+def reference_of(policy_id: str, root: Path) -> str:
+    """The name or gait that a policy id of a running graph stands for.
+
+    Raises:
+      PolicyNotFound: it was loaded from a file outside the store, or has been replaced since.
+    """
+    if policy_id.startswith(GAIT_PREFIX):
+        return policy_id
+    name = policy_id.partition("@")[0]
+    if find_policy(name, root).policy_id != policy_id:
+        raise PolicyNotFound(f"policy {policy_id} is in use, but {name} in the store is another one; name the policy to start from")
+    return name

@@ -1,0 +1,164 @@
+"""A training run as a folder and a subprocess: what a node or a command starts, follows, cancels and resumes.
+
+    run = Run(config, model="hexapod-v2", store=root, start="balance", rival="balance")
+    folder = write_run(store.folder("runs") / run.key("train"), run)
+    with TrainingProcess(folder) as process:
+        for event in process.events():        # dicts, see training.py
+            ...
+
+This module imports neither torch nor rclpy. A process that died is started again on the same folder and goes on.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from tcbi_policy.artefact import replace_file
+from tcbi_policy.configuration import TrainingConfig
+from tcbi_policy.errors import TrainingError
+
+GRACE_S = 0.5  # between asking a process to end and ending it
+SPEC = "run.json"
+
+
+@dataclass(frozen=True)
+class Run:
+    """All that decides the result of a training run."""
+
+    config: TrainingConfig
+    model: str  # version, never "latest"
+    store: str = ""  # root of the model store; empty for the default
+    start: str = ""  # policy to start from; empty for scratch
+    rival: str = ""  # policy that the result is compared with; empty for none
+    pairs: int = 64  # held-out rollouts of that comparison
+
+    def key(self, purpose: str) -> str:
+        """A folder name that is the same for the same run."""
+        digest = hashlib.sha256(self.to_json().encode()).hexdigest()[:12]
+        return f"{purpose}-{self.config.task}-{digest}"
+
+    def to_json(self) -> str:
+        """As it lies in the folder."""
+        return json.dumps({**dataclasses.asdict(self), "config": json.loads(self.config.to_json())}, indent=1) + "\n"
+
+    @staticmethod
+    def from_folder(folder: Path) -> "Run":
+        """Read a run's folder.
+
+        Raises:
+          TrainingError: it is not one.
+        """
+        try:
+            data = json.loads((folder / SPEC).read_text())
+            config = TrainingConfig.from_json(json.dumps(data.pop("config")))
+            return Run(config.checked(), **data)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as e:
+            raise TrainingError(f"{folder} is not the folder of a training run: {e}") from e
+
+
+def write_run(folder: Path, run: Run) -> Path:
+    """Make a run's folder, or go on with the one that holds the same run.
+
+    Raises:
+      TrainingError: the folder holds another run.
+    """
+    run.config.checked()
+    folder.mkdir(parents=True, exist_ok=True)
+    if (folder / SPEC).exists():
+        if Run.from_folder(folder) != run:
+            raise TrainingError(f"{folder} holds another training run; remove it, or choose another name")
+    else:
+        replace_file(folder / SPEC, run.to_json().encode())
+    return folder
+
+
+class TrainingProcess:
+    """`python -m tcbi_policy.training FOLDER`, in a process group of its own and at low priority."""
+
+    def __init__(self, folder: Path):
+        environment = dict(os.environ, PYTHONUNBUFFERED="1")
+        self._errors = (folder / "errors.log").open("ab")
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tcbi_policy.training", str(folder)],
+            stdout=subprocess.PIPE, stderr=self._errors, stdin=subprocess.DEVNULL, env=environment, start_new_session=True,
+        )  # fmt: skip
+        self._folder = folder
+        self._events: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            try:
+                self._events.put(json.loads(line))
+            except ValueError:  # a library wrote to standard output
+                self._errors.write(line)
+        self._events.put(None)
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def poll(self, timeout_s: float) -> tuple[dict[str, Any] | None, bool]:
+        """The next event if one comes within the time, and whether the process has closed its output."""
+        try:
+            event = self._events.get(timeout=timeout_s)
+        except queue.Empty:
+            return None, False
+        return event, event is None
+
+    def events(self) -> Iterator[dict[str, Any]]:
+        """All events until the process ends.
+
+        Raises:
+          TrainingError: it failed.
+        """
+        while True:
+            event, closed = self.poll(3600.0)
+            if closed:
+                break
+            if event is not None:
+                yield event
+        self.check()
+
+    def check(self) -> None:
+        """Wait for the end of a process that has closed its output.
+
+        Raises:
+          TrainingError: it failed, with the last line that it wrote.
+        """
+        status = self._process.wait()
+        if status != 0:
+            lines = (self._folder / "errors.log").read_text(errors="replace").strip().splitlines()
+            how = f"signal {-status}" if status < 0 else f"status {status}"
+            raise TrainingError(f"training ended with {how}: {lines[-1] if lines else 'no message'} (see {self._folder}/errors.log)")
+
+    def end(self) -> None:
+        """End the process within a second; what it has learnt up to its last checkpoint stays."""
+        if self._process.poll() is not None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(GRACE_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self.end()
+        self._errors.close()
