@@ -53,7 +53,7 @@ class RolloutArrays:
         """(N, S, T, J) rad: the commanded ramp, NaN before the first command."""
         index = self.latest_command
         given = np.maximum(index, 0)
-        n, s, t, j = self.joint_position.shape
+        _, s, t, _ = self.joint_position.shape
         before = np.concatenate([self.joint_position[:, :, :1], self.command_target[:, :, :-1]], axis=2)
         rollout = np.arange(s)[:, None]
         start, target = before[:, rollout, given], self.command_target[:, rollout, given]

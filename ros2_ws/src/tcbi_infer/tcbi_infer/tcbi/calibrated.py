@@ -26,11 +26,12 @@ from tcbi_infer.tcbi.proposal import (
     Proposal,
     draw,
     from_probit,
-    kernel_proposal,
     log_mixture,
     log_prior,
     prior_proposal,
+    proposal,
 )
+from tcbi_infer.tcbi.surrogate import expected_normal
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, temper
 
 
@@ -50,6 +51,7 @@ class CalibratedState(NamedTuple):
     z: np.ndarray  # (M, P) probit space
     features: Features  # of M particles
     proposals: tuple[Proposal, ...]  # one a generation
+    energy: np.ndarray  # (M,) above the least, inf where diverged
     log_weights: np.ndarray  # (M,)
     alpha: float
     alpha_supported: float  # by the data, as far as the simulations so far can tell
@@ -70,7 +72,7 @@ class CalibratedInfo(NamedTuple):
 def init(dimensions: int) -> CalibratedState:
     """Nothing simulated yet."""
     features = Features(np.zeros((0, 1, 1, 1), np.float32), np.zeros((0, 1)), np.zeros(0), np.zeros(0, bool))
-    return CalibratedState(0, np.zeros((0, dimensions)), features, (), np.zeros(0), 0.0, 0.0, False)
+    return CalibratedState(0, np.zeros((0, dimensions)), features, (), np.zeros(0), np.zeros(0), 0.0, 0.0, False)
 
 
 def step(
@@ -93,13 +95,15 @@ def step(
       InferError: every simulation diverged.
     """
     if state.generation == 0:
-        proposal = prior_proposal(settings.particles, state.z.shape[1])
+        drawn_from = prior_proposal(settings.particles, state.z.shape[1])
     else:
-        proposal = kernel_proposal(settings.particles, state.z, normalised(state.log_weights), settings.prior_share)
-    fresh = draw(rng, proposal)
+        normal = expected_normal(state.z, state.energy, state.alpha_supported)
+        weights = normalised(state.log_weights)
+        drawn_from = proposal(settings.particles, state.z, weights, normal, settings.prior_share)
+    fresh = draw(rng, drawn_from)
     simulated = simulate(from_probit(fresh))
     features = simulated if state.generation == 0 else state.features.join(simulated)
-    z, proposals = np.concatenate([state.z, fresh]), (*state.proposals, proposal)
+    z, proposals = np.concatenate([state.z, fresh]), (*state.proposals, drawn_from)
     if not features.valid.any():
         raise InferError(
             f"all {len(z)} simulations diverged: the model is unstable over its whole prior; "
@@ -121,10 +125,10 @@ def _weigh(
     divergence = divergences(observed.counts, features.counts)
     floors = calibration.floors(observed, features.counts, divergence, features.valid)
     energy = calibration.energy(observed, divergence, floors.total)
-    energy -= energy[features.valid].min()
+    energy = np.where(features.valid, energy - energy[features.valid].min(), np.inf)
     supported = calibration.calibrate(rng, observed, features.counts, floors.total, z, log_base, energy)
     alpha = temper(energy, log_base, supported, settings.least_ess * settings.particles)
-    log_weights = log_base - alpha * energy
+    log_weights = np.where(features.valid, log_base - alpha * np.where(features.valid, energy, 0.0), -np.inf)
     weights = normalised(log_weights)
     info = CalibratedInfo(
         divergence=weights @ observed.by_statistic(divergence),
@@ -136,7 +140,7 @@ def _weigh(
     )
     converged = before.generation >= 2 and alpha >= 0.99 * supported and _steady(before, z, weights)
     state = CalibratedState(
-        before.generation + 1, z, features, proposals, log_weights, alpha, supported, bool(converged)
+        before.generation + 1, z, features, proposals, energy, log_weights, alpha, supported, bool(converged)
     )
     return state, info
 

@@ -75,11 +75,12 @@ def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usabl
     candidates = np.flatnonzero(usable)
     scale = np.maximum(np.median(divergence[candidates], axis=0), 1e-9)
     freedom = effective_bins(observed.counts)
+    least = freedom / (8 * np.maximum(observed.counts.sum(axis=(0, 2)), 1))  # were all samples independent
     found = Floors(np.zeros_like(scale), freedom, scale)
     for _ in range(3):
         energy = observed.by_statistic(divergence[candidates] / found.total).sum(axis=-1)
         best = candidates[np.argsort(energy, kind="stable")[:BEST]]
-        noise = np.mean([residual_noise(observed.counts, counts[b]) for b in best], axis=0)
+        noise = np.maximum(np.mean([residual_noise(observed.counts, counts[b]) for b in best], axis=0), least)
         found = Floors(noise, freedom, divergence[best].min(axis=0))
     return found
 

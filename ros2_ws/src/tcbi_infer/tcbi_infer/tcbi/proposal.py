@@ -18,13 +18,22 @@ LEAST_SD = 0.02  # of a kernel, in probit units
 
 
 class Proposal(NamedTuple):
-    """What one generation's particles were drawn from."""
+    """What one generation's particles were drawn from: the prior, kernels on particles, and one wide normal."""
 
-    count: int  # particles drawn
-    prior_share: float
-    centers: np.ndarray  # (n, P), probit space
-    weights: np.ndarray  # (n,), sum to one
+    size: int  # particles drawn
+    shares: np.ndarray  # (3,) of the prior, the kernels, the normal; sum to one
+    centers: np.ndarray  # (n, P) of the kernels, probit space
+    weights: np.ndarray  # (n,) of the kernels, sum to one
     covariance: np.ndarray  # (P, P) of each kernel
+    normal_mean: np.ndarray  # (P,)
+    normal_covariance: np.ndarray  # (P, P)
+
+    @property
+    def drawn(self) -> tuple[int, int, int]:
+        """Particles drawn from each part."""
+        first = round(self.shares[0] * self.size)
+        second = round(self.shares[1] * self.size)
+        return first, second, self.size - first - second
 
 
 def to_probit(unit: np.ndarray) -> np.ndarray:
@@ -39,11 +48,23 @@ def from_probit(z: np.ndarray) -> np.ndarray:
 
 def prior_proposal(count: int, dimensions: int) -> Proposal:
     """The first generation's: the prior alone."""
-    return Proposal(count, 1.0, np.zeros((0, dimensions)), np.zeros(0), np.eye(dimensions))
+    eye, nothing = np.eye(dimensions), np.zeros((0, dimensions))
+    return Proposal(count, np.array([1.0, 0.0, 0.0]), nothing, np.zeros(0), eye, np.zeros(dimensions), eye)
 
 
-def kernel_proposal(count: int, z: np.ndarray, weights: np.ndarray, prior_share: float) -> Proposal:
-    """Kernels on the particles that carry weight, Silverman's bandwidth of their weighted covariance, inflated."""
+def proposal(
+    count: int, z: np.ndarray, weights: np.ndarray, normal: tuple[np.ndarray, np.ndarray] | None, prior_share: float
+) -> Proposal:
+    """A later generation's.
+
+    Args:
+      count: particles to draw.
+      z: (M, P) particles so far.
+      weights: (M,) sum to one; kernels are put on those that carry weight, with Silverman's bandwidth of their weighted
+        covariance, inflated.
+      normal: mean (P,) and covariance (P, P) of where the target is expected, or None for kernels alone.
+      prior_share: drawn from the prior.
+    """
     kept = weights > 1e-6 * weights.max()
     z, weights = z[kept], weights[kept] / weights[kept].sum()
     p = z.shape[1]
@@ -51,20 +72,25 @@ def kernel_proposal(count: int, z: np.ndarray, weights: np.ndarray, prior_share:
     spread = (z - mean).T @ ((z - mean) * weights[:, None])
     ess = max(effective_sample_size(weights), 2.0)
     factor = (4.0 / (p + 2.0)) ** (2.0 / (p + 4.0)) * ess ** (-2.0 / (p + 4.0)) * INFLATION**2
-    return Proposal(count, prior_share, z, weights, factor * spread + LEAST_SD**2 * np.eye(p))
+    covariance = factor * spread + LEAST_SD**2 * np.eye(p)
+    rest = 1.0 - prior_share
+    shares = np.array([prior_share, rest, 0.0] if normal is None else [prior_share, rest / 2, rest / 2])
+    return Proposal(count, shares, z, weights, covariance, *(normal or (mean, np.eye(p))))
 
 
 def draw(rng: np.random.Generator, proposal: Proposal) -> np.ndarray:
     """(count, P) particles in probit space; stratified over the prior's share and over the kernels."""
-    p = proposal.covariance.shape[0]
-    from_prior = proposal.count if len(proposal.weights) == 0 else round(proposal.prior_share * proposal.count)
-    strata = np.stack([rng.permutation(from_prior) for _ in range(p)], axis=1).reshape(from_prior, p)
-    prior = to_probit((strata + rng.random((from_prior, p))) / max(from_prior, 1))
-    if from_prior == proposal.count:
-        return prior
-    centers = proposal.centers[resample(rng, proposal.weights, proposal.count - from_prior)]
-    step = rng.standard_normal(centers.shape) @ np.linalg.cholesky(proposal.covariance).T
-    return np.concatenate([prior, centers + step])
+    p = len(proposal.normal_mean)
+    first, second, third = proposal.drawn
+    strata = np.stack([rng.permutation(first) for _ in range(p)], axis=1).reshape(first, p)
+    parts = [to_probit((strata + rng.random((first, p))) / max(first, 1))]
+    if second:
+        centers = proposal.centers[resample(rng, proposal.weights, second)]
+        parts.append(centers + rng.standard_normal(centers.shape) @ np.linalg.cholesky(proposal.covariance).T)
+    if third:
+        steps = rng.standard_normal((third, p)) @ np.linalg.cholesky(proposal.normal_covariance).T
+        parts.append(proposal.normal_mean + steps)
+    return np.concatenate(parts)
 
 
 def log_prior(z: np.ndarray) -> np.ndarray:
@@ -74,20 +100,27 @@ def log_prior(z: np.ndarray) -> np.ndarray:
 
 def log_density(proposal: Proposal, z: np.ndarray) -> np.ndarray:
     """(M,) log-density of a proposal at (M, P), without the constant that `log_prior` leaves out too."""
-    prior = log_prior(z)
-    share = 1.0 if len(proposal.weights) == 0 else round(proposal.prior_share * proposal.count) / proposal.count
-    if len(proposal.weights) == 0 or share >= 1.0:
-        return prior
-    cholesky = np.linalg.cholesky(proposal.covariance)
-    whitened = np.linalg.solve(cholesky, (z[:, None] - proposal.centers).reshape(-1, z.shape[1]).T).T
+    first, second, third = (n / proposal.size for n in proposal.drawn)
+    parts = []
+    if first:
+        parts.append(np.log(first) + log_prior(z))
+    if second:
+        parts.append(np.log(second) + _log_kernels(z, proposal.centers, proposal.weights, proposal.covariance))
+    if third:
+        mean = proposal.normal_mean[None]
+        parts.append(np.log(third) + _log_kernels(z, mean, np.ones(1), proposal.normal_covariance))
+    return logsumexp(np.stack(parts), axis=0)
+
+
+def _log_kernels(z: np.ndarray, centers: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    cholesky = np.linalg.cholesky(covariance)
+    whitened = np.linalg.solve(cholesky, (z[:, None] - centers).reshape(-1, z.shape[1]).T).T
     squares = np.sum(whitened**2, axis=-1).reshape(len(z), -1)
-    kernels = logsumexp(-0.5 * squares, b=proposal.weights, axis=1) - np.log(np.diag(cholesky)).sum()
-    with np.errstate(divide="ignore"):
-        return np.logaddexp(np.log(share) + prior, np.log1p(-share) + kernels)
+    return logsumexp(-0.5 * squares, b=weights, axis=1) - np.log(np.diag(cholesky)).sum()
 
 
 def log_mixture(proposals: tuple[Proposal, ...], z: np.ndarray) -> np.ndarray:
     """(M,) log-density of all proposals together, each by its count (deterministic-mixture weights)."""
-    total = sum(proposal.count for proposal in proposals)
-    parts = [np.log(proposal.count / total) + log_density(proposal, z) for proposal in proposals]
+    total = sum(proposal.size for proposal in proposals)
+    parts = [np.log(proposal.size / total) + log_density(proposal, z) for proposal in proposals]
     return logsumexp(np.stack(parts), axis=0)

@@ -1,0 +1,146 @@
+"""`./tcbi infer`: posterior of a model's parameters from bags, saved as a new model version."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tcbi_bringup.commands import console
+
+if TYPE_CHECKING:
+    from tcbi_infer.tcbi.driver import Progress
+    from tcbi_infer.tcbi.result import Result
+
+SUMMARY = "Infer a model's parameters from bags (task-consistent Bayesian inference) and save them as a new version."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command line."""
+    console.add_examples(
+        parser,
+        "./tcbi infer rollouts/*                              # the latest model, calibrated",
+        "./tcbi infer rollouts/* --model hexapod-v1 --json",
+        "./tcbi infer rollouts/* --method paper               # Algorithm 1 as published",
+        "./tcbi infer rollouts/* --generations 12             # a narrower posterior, if the data allow it",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders of bags")
+    parser.add_argument("--method", default="calibrated", help="calibrated (default) or paper")
+    parser.add_argument(
+        "--model", default="latest", help="model version whose parameters are inferred (default: latest)"
+    )
+    parser.add_argument("--particles", type=_positive, help="simulated in each generation (default: 50)")
+    parser.add_argument("--generations", type=_positive, help="at most (default: calibrated 6, paper 15)")
+    parser.add_argument("--rollouts", type=_positive, help="use the first so many of the bags' rollouts (default: all)")
+    parser.add_argument("--statistics", help="comma-separated, instead of the method's own; `reward` is the ablation")
+    parser.add_argument("--divergence", default="js", help="of the paper method: js (default), js_nearest, wasserstein")
+    parser.add_argument(
+        "--loop",
+        choices=("auto", "open", "closed"),
+        default="auto",
+        help="closed: the policy acts on the simulated robot; open: the recorded commands are replayed; "
+        "auto (default): closed where the policy can be loaded",
+    )
+    parser.add_argument("--timestep", type=float, help="s, of the simulation (default: 0.01)")
+    parser.add_argument("--threads", type=int, default=0, help="0 (default) for all processors")
+    parser.add_argument("--seed", type=int, default=0)
+    console.add_store(parser)
+    console.add_json(parser)
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, infer, save, print."""
+    from tcbi_infer import posterior
+    from tcbi_infer.bags.reader import read_measurements
+    from tcbi_infer.tcbi.driver import infer
+    from tcbi_infer.tcbi.method import find_method
+    from tcbi_infer.tcbi.problem import Problem
+    from tcbi_sim.store import ModelStore
+
+    method, store = find_method(args.method), ModelStore(args.store)
+    measurements = read_measurements(args.bags)[: args.rollouts]
+    model = store.load(args.model, measurements[0].rig)
+    problem = Problem.of(
+        model,
+        measurements,
+        statistics=tuple(args.statistics.split(",")) if args.statistics else method.statistics,
+        divergence_name=args.divergence,
+        loop=args.loop,
+        policies=store.root,
+        timestep=args.timestep,
+        threads=args.threads,
+        seed=args.seed,
+    )
+    console.note(f"{len(problem.rollout_ids)} rollouts, model {model.version}, method {method.name}")
+    given = {"particles": args.particles, "generations": args.generations}
+    settings = {name: value for name, value in given.items() if value is not None}
+    with console.progress("inferring", total=settings.get("generations")) as advance:
+        result = infer(
+            problem,
+            method.name,
+            seed=args.seed,
+            folder=store.folder("runs"),
+            watch=lambda p: advance(done=p.generation - 1 + p.share, total=p.generations, note=_state(p, model.names)),
+            **settings,
+        )
+    saved = store.save(posterior.updated(result))
+    posterior.write(store.models / saved.version / "posterior.nc", result)
+    for line in result.warnings:
+        console.note(line)
+    if args.json:
+        console.emit(as_json(result, saved.version))
+    else:
+        _print(result, saved.version)
+    return 0
+
+
+def as_json(result: "Result", version: str) -> dict[str, Any]:
+    """The contract's object, and a little more."""
+    return {
+        "model": version,
+        "parent": result.model.version,
+        "method": result.method,
+        "task": result.task,
+        "parameters": [e.as_json() for e in result.estimates],
+        "ess": result.ess,
+        "simulations": result.simulations,
+        "seconds": result.seconds,
+        "generations": len(result.generations),
+        "converged": result.converged,
+        "closed_loop": result.closed_loop,
+        "rollouts": result.rollouts,
+        "divergence": result.divergence,
+        "warnings": result.warnings,
+    }
+
+
+def _state(progress: "Progress", names: tuple[str, ...]) -> str:
+    if progress.ess != progress.ess:  # NaN: no generation is done yet
+        return f"generation {progress.generation}"
+    known = ", ".join(f"{n} {m:.3g} ± {s:.2g}" for n, m, s in zip(names, progress.mean, progress.sd, strict=True))
+    return f"generation {progress.generation}, {progress.ess:.0f} effective particles, {known}"
+
+
+def _print(result: "Result", version: str) -> None:
+    rows = [
+        [e.name, e.unit, e.mean, e.sd, f"{e.low90:.3g} to {e.high90:.3g}", f"{1 - e.variance_ratio:.0%}", _verdict(e)]
+        for e in result.estimates
+    ]
+    columns = ["parameter", "unit", "mean", "sd", "90 % interval", "variance less than prior", "do the data tell?"]
+    console.table(f"{version}: posterior of {result.model.version}, method {result.method}", columns, rows)
+    print(
+        f"{result.simulations} rollouts simulated in {len(result.generations)} generations, {result.seconds:.0f} s, "
+        f"{result.ess:.0f} effective particles, "
+        + ("converged" if result.converged else "stopped by the number of generations")
+    )
+    if result.method == "paper":
+        print("the paper's method narrows with every generation: judge it by error and coverage, not by its width")
+
+
+def _verdict(estimate: Any) -> str:
+    return "yes" if estimate.identified else "no: little more than the prior"

@@ -1,0 +1,109 @@
+"""Posteriors as files: netCDF groups that ArviZ opens (`arviz.from_netcdf`), in its 0.x and 1.x versions alike.
+
+posterior       equally weighted draws, (chain, draw) per parameter
+particles       the weighted particles themselves: value (particle, parameter), log_weight (particle)
+prior           equally weighted draws of the prior, to compare with
+generations     means, variances, ESS, alpha and divergences over generations
+"""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from tcbi_infer.tcbi.result import Result
+from tcbi_sim.model import Model
+
+DRAWS = 1000
+
+
+def dataset(result: Result) -> xr.DataTree:
+    """The groups of a result."""
+    parameters = result.model.parameters
+    rng = np.random.default_rng(0)
+
+    def draws(values: np.ndarray) -> xr.Dataset:
+        return xr.Dataset(
+            {p.name: (("chain", "draw"), values[None, :, i], {"units": p.unit}) for i, p in enumerate(parameters)},
+            coords={"chain": [0], "draw": np.arange(len(values))},
+        )
+
+    particles = xr.Dataset(
+        {"value": (("particle", "parameter"), result.particles), "log_weight": ("particle", result.log_weights)},
+        coords={"parameter": list(result.model.names)},
+    )
+    prior = np.stack([p.sample(rng, DRAWS) for p in parameters], axis=-1)
+    tree = xr.DataTree.from_dict(
+        {
+            "posterior": draws(result.draws(DRAWS)),
+            "prior": draws(prior),
+            "particles": particles,
+            "generations": _generations(result),
+        }
+    )
+    tree.attrs.update(
+        {
+            "method": result.method,
+            "rig": result.model.rig,
+            "model": result.model.version,
+            "task": result.task,
+            "rollouts": json.dumps(result.rollouts),
+            "ess": result.ess,
+            "simulations": result.simulations,
+            "converged": int(result.converged),
+            "warnings": json.dumps(result.warnings),
+        }
+    )
+    return tree
+
+
+def _generations(result: Result) -> xr.Dataset:
+    rows = result.generations
+    names, statistics = list(result.model.names), list(result.statistics)
+    return xr.Dataset(
+        {
+            "mean": (("generation", "parameter"), np.array([r["mean"] for r in rows]).reshape(-1, len(names))),
+            "variance": (("generation", "parameter"), np.array([r["variance"] for r in rows]).reshape(-1, len(names))),
+            "divergence": (
+                ("generation", "statistic"),
+                np.array([r["divergence"] for r in rows]).reshape(-1, len(statistics)),
+            ),
+            "ess": ("generation", np.array([r["ess"] for r in rows], float)),
+            "alpha": ("generation", np.array([r["alpha"] for r in rows], float)),
+        },
+        coords={"generation": [r["generation"] for r in rows], "parameter": names, "statistic": statistics},
+    )
+
+
+def write(path: Path, result: Result) -> None:
+    """Write a result under a temporary name, then rename."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        dataset(result).to_netcdf(temporary, engine="h5netcdf")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def updated(result: Result) -> Model:
+    """An unsaved child of the model whose particles are the posterior, with the evidence that made it."""
+    return result.model.with_particles(
+        result.particles,
+        result.log_weights,
+        inference={
+            "method": result.method,
+            "task": result.task,
+            "rollouts": list(result.rollouts),
+            "statistics": list(result.statistics),
+            "closed_loop": result.closed_loop,
+            "parameters": [e.as_json() for e in result.estimates],
+            "ess": result.ess,
+            "simulations": result.simulations,
+            "seconds": result.seconds,
+            "converged": result.converged,
+            "warnings": list(result.warnings),
+        },
+    )

@@ -1,0 +1,239 @@
+"""The loop around a method: seeds, progress, checkpoints, the result.
+
+    problem = Problem.of(model, measurements)
+    result = infer(problem, "calibrated", seed=0, folder=store.folder("runs"))
+
+Generation t draws from a generator seeded by (seed, t), so an inference that was killed and resumed ends with the same
+bits as one that ran through.
+"""
+
+import contextlib
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi import checkpoint
+from tcbi_infer.tcbi.features import Features
+from tcbi_infer.tcbi.method import Generation, Method, find_method
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.result import Result, estimates, findings
+from tcbi_infer.tcbi.weights import mean_and_variance, normalised
+from tcbi_sim.engine import SimError
+
+
+class Progress(NamedTuple):
+    """What a watcher is told, within generations too."""
+
+    generation: int  # the one at work, from 1
+    generations: int  # at most
+    share: float  # of this generation's simulations
+    remaining_s: float  # estimate, nan before there is one
+    ess: float  # after the last whole generation
+    mean: np.ndarray  # (P,) physical, after the last whole generation
+    sd: np.ndarray  # (P,)
+
+
+class Interrupted(InferError):
+    """The user stopped an inference; its state is kept."""
+
+
+def infer(
+    problem: Problem,
+    method: str = "calibrated",
+    *,
+    seed: int = 0,
+    folder: Path | None = None,
+    watch: Callable[[Progress], None] | None = None,
+    **settings: Any,
+) -> Result:
+    """Run a method to its end.
+
+    Args:
+      problem: rollouts and model.
+      method: by name.
+      seed: of all randomness.
+      folder: where the state is kept between generations (a folder of its own is made in it); an inference of the same
+        rollouts, model and settings that was stopped goes on from there. None keeps nothing.
+      watch: told of progress.
+      **settings: of the method, such as `particles` and `generations`.
+
+    Raises:
+      Interrupted: on Ctrl-C, after the state of the last whole generation was kept.
+      InferError: unknown method, or every simulation diverged.
+    """
+    chosen = find_method(method)
+    given = chosen.settings(**settings)
+    start = time.monotonic()
+    place = None if folder is None else folder / run_name(problem, method, given, seed)
+    loop = _Loop(problem, chosen, given, seed, place, watch)
+    with _stopping(place):
+        loop.run()
+    result = loop.result(time.monotonic() - start)
+    if place is not None:
+        (place / "state.npz").unlink(missing_ok=True)
+    return result
+
+
+def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
+    """A name for an inference: the same for the same rollouts, model, method, settings and seed."""
+    what = {
+        "model": problem.model.version,
+        "effects": problem.model.effects,
+        "rollouts": sorted(problem.rollout_ids),
+        "statistics": problem.observed.channels,
+        "closed": problem.closed_loop,
+        "timestep": problem.timestep,
+        "divergence": problem.divergence_name,
+        "method": method,
+        "settings": list(settings),
+        "seed": seed,
+    }
+    digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+    return f"infer-{method}-{digest[:12]}"
+
+
+@contextlib.contextmanager
+def _stopping(place: Path | None) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt as e:
+        kept = "; the same command goes on from the last whole generation" if place is not None else ""
+        raise Interrupted(f"inference stopped{kept}") from e
+
+
+class _Loop:
+    """One inference at work."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        method: Method,
+        settings: Any,
+        seed: int,
+        place: Path | None,
+        watch: Callable[[Progress], None] | None,
+    ):
+        self.problem, self.method, self.settings, self.seed, self.place = problem, method, settings, seed, place
+        self.watch = watch
+        self.dimensions = len(problem.model.names)
+        self.state, self.history, self.resumed = self._begin()
+        self.last = Generation(np.nan, np.nan, np.zeros(len(problem.observed.statistics)), {})
+        self.begun = time.monotonic()
+        self.here = 0  # generations run by this process
+
+    def _begin(self) -> tuple[Any, list[dict[str, Any]], bool]:
+        if self.place is not None:
+            self.place.mkdir(parents=True, exist_ok=True)
+            state = checkpoint.load(self.place / "state.npz", self.method.state_type)
+            history = self._read_history()
+            if state is not None and len(history) == state.generation:
+                return state, history, state.generation > 0
+        rng = np.random.default_rng([self.seed, 0])
+        return self.method.init(rng, self.dimensions, self.settings), [], False
+
+    def _read_history(self) -> list[dict[str, Any]]:
+        assert self.place is not None
+        try:
+            return json.loads((self.place / "generations.json").read_text())
+        except (OSError, ValueError):
+            return []
+
+    def run(self) -> None:
+        """Until the method says it is finished."""
+        while not self.method.finished(self.state, self.settings):
+            rng = np.random.default_rng([self.seed, self.state.generation + 1])
+            self._tell(0.0)
+            self.state, self.last = self.method.step(
+                rng, self.state, self._simulate, self.problem.observed, self.settings
+            )
+            self.here += 1
+            self._record()
+            if self.place is not None:
+                _replace(self.place / "generations.json", json.dumps(self.history))
+                checkpoint.save(self.place / "state.npz", self.state)
+        self._tell(1.0)
+
+    def _simulate(self, unit: np.ndarray) -> Features:
+        try:
+            return self.problem.simulate(unit, self._tell)
+        except SimError as e:
+            raise InferError(f"the simulation cannot run these rollouts: {e}") from e
+
+    def _record(self) -> None:
+        unit, log_weights = self.method.posterior(self.state)
+        weights = normalised(log_weights)
+        mean, variance = mean_and_variance(self.problem.model.from_unit(unit), weights)
+        _, unit_variance = mean_and_variance(unit, weights)
+        self.history.append(
+            {
+                "generation": self.state.generation,
+                "ess": self.last.ess,
+                "alpha": self.last.alpha,
+                "mean": mean.tolist(),
+                "variance": variance.tolist(),
+                "variance_ratio": (12 * unit_variance).tolist(),
+                "divergence": self.last.divergence.tolist(),
+                **self.last.notes,
+            }
+        )
+
+    def _tell(self, share: float) -> None:
+        if self.watch is None:
+            return
+        nan = np.full(self.dimensions, np.nan)
+        last: dict[str, Any] = self.history[-1] if self.history else {"ess": np.nan, "mean": nan, "variance": nan}
+        done = self.here + share
+        left = self.settings.generations - self.state.generation - share
+        elapsed = time.monotonic() - self.begun
+        remaining = elapsed / done * max(left, 0.0) if done > 0 else np.nan
+        self.watch(
+            Progress(
+                min(self.state.generation + 1, self.settings.generations),
+                self.settings.generations,
+                share,
+                remaining,
+                last["ess"],
+                np.asarray(last["mean"]),
+                np.sqrt(last["variance"]),
+            )
+        )
+
+    def result(self, seconds: float) -> Result:
+        """The outcome, with its warnings."""
+        problem, model = self.problem, self.problem.model
+        unit, log_weights = self.method.posterior(self.state)
+        kept = np.isfinite(log_weights)
+        if not kept.any():
+            raise InferError("no particle has any weight: every simulation diverged")
+        unit, log_weights = unit[kept], np.log(np.maximum(normalised(log_weights[kept]), 1e-300))
+        last = self._last_generation()
+        lines = findings(
+            model.parameters, unit, log_weights, problem.observed.statistics, last, bool(self.state.converged)
+        )
+        resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
+        simulated = self.method.simulations(self.state, self.settings) * len(problem.rollout_ids)
+        return Result(
+            model, self.method.name, problem.task, problem.observed.statistics, problem.rollout_ids, unit, log_weights,
+            estimates(model.parameters, unit, log_weights, self.seed), float(1 / np.sum(np.exp(2 * log_weights))),
+            simulated, seconds, tuple(self.history), bool(self.state.converged), problem.closed_loop,
+            (*problem.warnings, *resumed, *lines),
+        )  # fmt: skip
+
+    def _last_generation(self) -> Generation:
+        if self.here or not self.history:
+            return self.last
+        entry = self.history[-1]
+        notes: dict[str, Any] = {k: entry[k] for k in ("alpha_supported", "floor_noise", "floor_misfit") if k in entry}
+        return Generation(entry["ess"], entry["alpha"], np.asarray(entry["divergence"]), notes)
+
+
+def _replace(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(text)
+    temporary.replace(path)

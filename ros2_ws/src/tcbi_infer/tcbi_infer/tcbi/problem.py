@@ -1,0 +1,317 @@
+"""An inference problem: real rollouts, a model, and `simulate`, which turns particles into features.
+
+    problem = Problem.of(model, measurements)
+    features = problem.simulate(unit)      # (N, P) in [0, 1] -> Features
+
+Closed loop (each rollout's policy acts on the simulated robot) where every policy can be loaded, else open loop (the
+recorded commands are replayed). Scripted gaits do not react, so their recorded commands are replayed, stamps included.
+"""
+
+import dataclasses
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from tcbi_infer.divergence import BINS, Binning, divergence
+from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
+from tcbi_infer.tcbi.features import Features, Observed, binned, divergences, samples
+from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, sample_rate, sensor_noise
+from tcbi_policy.artefact import GAIT_PREFIX, find_policy
+from tcbi_policy.errors import PolicyError
+from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
+from tcbi_sim.measurement import Measurement, quaternion_from_rpy
+from tcbi_sim.model import Model
+from tcbi_sim.rig import Noise, load_rig
+from tcbi_sim.sensing import multiply
+
+CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
+LONGEST_STEP = 0.01  # s: fine enough for distributions, a quarter of the cost of a diagnosis
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything that a method needs; immutable, and the same bits for the same particle whoever else is simulated."""
+
+    model: Model
+    groups: tuple[Group, ...]
+    controllers: tuple[Controller | None, ...]  # one a group; None replays the commands
+    statistics: tuple[Statistic, ...]
+    observed: Observed
+    binnings: tuple[Binning, ...]  # C
+    real_samples: tuple[np.ndarray, ...]  # (C) pooled samples of each channel
+    blocks: int
+    noise: Noise
+    timestep: float
+    rate: float
+    seed: int = 0
+    threads: int = 0
+    divergence_name: str = "js"
+    warnings: tuple[str, ...] = field(default_factory=tuple)
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        measurements: Sequence[Measurement],
+        *,
+        statistics: tuple[str, ...] = CALIBRATED,
+        divergence_name: str = "js",
+        loop: str = "auto",
+        policies: Path | None = None,
+        timestep: float | None = None,
+        threads: int = 0,
+        seed: int = 0,
+    ) -> "Problem":
+        """Check the rollouts and prepare them.
+
+        Args:
+          model: structure and priors; its particles are not used, since data must not count twice.
+          measurements: the real rollouts.
+          statistics: by name; those that the rollouts lack are left out with a warning.
+          divergence_name: of `tcbi_infer.divergence`, used by the `paper` method.
+          loop: "open", "closed", or "auto".
+          policies: the store's root, where policies are looked for.
+          timestep: s of the simulation; 0.01, or one sample interval if that is shorter.
+          threads: 0 for all processors.
+          seed: of the simulated sensors' noise.
+
+        Raises:
+          InferError: the rollouts do not allow an inference.
+        """
+        divergence(divergence_name)
+        usable, warnings = checked(model, measurements)
+        controllers, said = find_controllers(usable, loop, policies)
+        rate = sample_rate(model, usable)
+        groups = grouped(usable, rate, by_policy=bool(controllers))
+        kept, left_out = _common(statistics, groups)
+        parts = [[samples(statistic, g.arrays) for statistic in kept] for g in groups]
+        names, owner, pooled = _channels(kept, groups, parts)
+        used = [i for i, values in enumerate(pooled) if values.size]
+        binnings = tuple(Binning.of(pooled[i], BINS) for i in used)
+        blocks = blocks_for(len(usable))
+        counts = _counts(parts, [g.arrays.count for g in groups], used, list(binnings), blocks)[0]
+        owner = owner[used]
+        present = sorted(set(owner.tolist()))
+        observed = Observed(
+            counts,
+            np.array([present.index(o) for o in owner]),
+            tuple(kept[i].name for i in present),
+            tuple(names[i] for i in used),
+        )
+        return cls(
+            model, tuple(groups), tuple(controllers.get(g.measurements[0].policy_id) for g in groups), kept, observed,
+            binnings, tuple(pooled[i] for i in used), blocks, sensor_noise(usable, load_rig(model.rig).noise),
+            timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
+            (*warnings, said, *left_out, *_silent(names, used)),
+        )  # fmt: skip
+
+    @property
+    def rollout_ids(self) -> tuple[str, ...]:
+        """Of the real rollouts, in the order of the groups."""
+        return tuple(m.rollout_id for g in self.groups for m in g.measurements)
+
+    @property
+    def task(self) -> str:
+        """The rollouts' tasks, joined by + if they are several."""
+        return "+".join(sorted({g.measurements[0].scenario.task for g in self.groups}))
+
+    @property
+    def closed_loop(self) -> bool:
+        """Whether a policy acts on the simulated robot."""
+        return any(c is not None for c in self.controllers)
+
+    def simulate(self, unit: np.ndarray, progress: Callable[[float], None] | None = None) -> Features:
+        """Features of (N, P) particles in [0, 1]; each particle's do not depend on the others.
+
+        Args:
+          unit: (N, P).
+          progress: called with the share done.
+        """
+        size = sum(len(g.measurements) * len(g.time) for g in self.groups) * (
+            len(load_rig(self.model.rig).joint_names) + 20
+        )
+        step = max(1, int(CHUNK_VALUES / size))
+        parts = []
+        for begin in range(0, len(unit), step):
+            parts.append(self._simulate(unit[begin : begin + step]))
+            if progress:
+                progress(min(1.0, (begin + step) / len(unit)))
+        features = parts[0]
+        for part in parts[1:]:
+            features = features.join(part)
+        return features
+
+    def _simulate(self, unit: np.ndarray) -> Features:
+        parts: list[list[np.ndarray]] = []
+        valid = np.ones(len(unit), bool)
+        rngs = [np.random.default_rng([self.seed, zlib.crc32(np.ascontiguousarray(row).tobytes())]) for row in unit]
+        for group, controller in zip(self.groups, self.controllers, strict=True):
+            rollouts = simulate(
+                self.model,
+                self.model.from_unit(unit),
+                [m.scenario for m in group.measurements],
+                commands=None if controller else [m.commands for m in group.measurements],
+                controller=controller,
+                timestep=self.timestep,
+                rate=self.rate,
+                threads=self.threads,
+            )
+            valid &= ~rollouts.diverged.any(axis=1)
+            arrays = with_noise(as_arrays(rollouts, group, controller is not None), self.noise, rngs)
+            parts.append([samples(statistic, arrays) for statistic in self.statistics])
+        sizes = [(len(unit), len(g.measurements)) for g in self.groups]
+        used = self._used()
+        counts = _counts(parts, sizes, used, list(self.binnings), self.blocks)
+        return Features(counts, self._divergence(counts, parts, used), _mean_reward(self.statistics, parts), valid)
+
+    def _used(self) -> list[int]:
+        names, _, _ = _channels(self.statistics, list(self.groups), None)
+        return [names.index(name) for name in self.observed.channels]
+
+    def _divergence(self, counts: np.ndarray, parts: list[list[np.ndarray]], used: list[int]) -> np.ndarray:
+        if self.divergence_name == "js":  # equal to pooling samples, and the counts are there already
+            return divergences(self.observed.counts, counts)
+        pooled = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in _by_channel(parts)]
+        measure = divergence(self.divergence_name)
+        return np.stack([measure(real, pooled[i]) for real, i in zip(self.real_samples, used, strict=True)], axis=-1)
+
+
+def find_controllers(
+    measurements: Sequence[Measurement], loop: str, policies: Path | None
+) -> tuple[dict[str, Controller], str]:
+    """Policy id -> controller, empty for open loop, and a line that says which and why.
+
+    Raises:
+      PolicyError: closed loop is asked for, and a policy cannot be loaded.
+    """
+    ids = sorted({m.policy_id for m in measurements})
+    if loop == "open":
+        return {}, "open loop: the recorded commands are replayed"
+    if loop == "auto" and all(i.startswith(GAIT_PREFIX) for i in ids):
+        return {}, "open loop: scripted gaits do not react, so the recorded commands are replayed"
+    found: dict[str, Controller] = {}
+    try:
+        for policy_id in ids:
+            found[policy_id] = _load(policy_id, policies)
+    except PolicyError as e:
+        if loop == "closed":
+            raise
+        return {}, f"open loop: the recorded commands are replayed, since a policy cannot be loaded ({e})"
+    return found, f"closed loop: {', '.join(ids)} act on the simulated robot"
+
+
+def _load(policy_id: str, policies: Path | None) -> Controller:
+    reference = policy_id if policy_id.startswith(GAIT_PREFIX) else policy_id.partition("@")[0]
+    policy = find_policy(reference, policies) if reference else None
+    if policy is None or policy.policy_id != policy_id:
+        seen = "none" if policy is None else policy.policy_id
+        raise PolicyError(f"the rollouts ran {policy_id or 'an unnamed policy'}, here is {seen}")
+    return policy
+
+
+def as_arrays(rollouts: SimulatedRollouts, group: Group, closed: bool) -> RolloutArrays:
+    """Simulated rollouts on the grid of the group's real ones, with the commands that they were given."""
+    n, length, real = len(rollouts.joint_position), len(group.time), group.arrays
+    time, target = real.command_time, np.broadcast_to(real.command_target, (n, *real.command_target.shape[1:]))
+    if closed:
+        target = rollouts.commands_given
+        time = np.broadcast_to(rollouts.command_time, target.shape[1:3])
+
+    def cut(values: np.ndarray | None, measured: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None or measured is None else values[:, :, :length]
+
+    return dataclasses.replace(
+        real,
+        joint_position=rollouts.joint_position[:, :, :length],
+        command_time=time,
+        command_target=target,
+        attitude=cut(rollouts.attitude, real.attitude),
+        angular_velocity=cut(rollouts.angular_velocity, real.angular_velocity),
+        contact=cut(rollouts.contact, real.contact),
+        position=cut(rollouts.position, real.position),
+    )
+
+
+def with_noise(arrays: RolloutArrays, noise: Noise, rngs: Sequence[np.random.Generator]) -> RolloutArrays:
+    """Simulated readings with the sensors' white noise, each particle from its own generator."""
+
+    def noisy(values: np.ndarray | None, sd: float) -> np.ndarray | None:
+        if values is None or sd == 0:
+            return values
+        return values + sd * np.stack([rng.standard_normal(values.shape[1:]) for rng in rngs])
+
+    joints = noisy(arrays.joint_position, noise.joint_position)
+    assert joints is not None
+    attitude = arrays.attitude
+    if attitude is not None and noise.attitude > 0:
+        roll, pitch = noise.attitude * np.stack(
+            [rng.standard_normal((2, *attitude.shape[1:3])) for rng in rngs], axis=1
+        )
+        attitude = multiply(attitude, quaternion_from_rpy(roll, pitch, np.zeros_like(roll)))
+    rates = noisy(arrays.angular_velocity, noise.angular_velocity)
+    return dataclasses.replace(arrays, joint_position=joints, attitude=attitude, angular_velocity=rates)
+
+
+def _common(names: tuple[str, ...], groups: list[Group]) -> tuple[tuple[Statistic, ...], tuple[str, ...]]:
+    """Statistics that every group allows, and a line for each one left out."""
+    left_out: dict[str, None] = {}
+    for group in groups:
+        kept, lines = select(names, group.arrays)
+        names = tuple(statistic.name for statistic in kept)
+        left_out.update(dict.fromkeys(lines))
+    return select(names, groups[0].arrays)[0], tuple(left_out)
+
+
+def _channels(
+    statistics: tuple[Statistic, ...], groups: list[Group], parts: list[list[np.ndarray]] | None
+) -> tuple[list[str], np.ndarray, list[np.ndarray]]:
+    """Names statistic/channel, each one's statistic, and (if samples are given) its finite samples of all groups."""
+    names, owner = [], []
+    for i, statistic in enumerate(statistics):
+        for channel in statistic.channels(groups[0].arrays):
+            names.append(f"{statistic.name}/{channel}")
+            owner.append(i)
+    pooled = []
+    if parts is not None:
+        flat = [np.concatenate([v.ravel() for v in values]) for values in _by_channel(parts)]
+        pooled = [values[np.isfinite(values)] for values in flat]
+    return names, np.array(owner), pooled
+
+
+def _by_channel(parts: list[list[np.ndarray]]) -> list[list[np.ndarray]]:
+    """parts[group][statistic] (N, S, C, K) -> for each channel of all statistics, its (N, S, K) of every group."""
+    out = []
+    for of_groups in zip(*parts, strict=True):
+        out += [[values[:, :, c] for values in of_groups] for c in range(of_groups[0].shape[2])]
+    return out
+
+
+def _counts(
+    parts: list[list[np.ndarray]], sizes: list[tuple[int, int]], used: list[int], binnings: list[Binning], blocks: int
+) -> np.ndarray:
+    """(N, U, C, B) float32 counts, the units of all groups in a row."""
+    total = sum(s for _, s in sizes) * blocks
+    counts = np.empty((sizes[0][0], total, len(used), BINS), np.float32)
+    channels = _by_channel(parts)
+    for c, (index, binning) in enumerate(zip(used, binnings, strict=True)):
+        rows = [binned(values[:, :, None], [binning], blocks)[:, :, 0] for values in channels[index]]
+        counts[:, :, c] = np.concatenate(rows, axis=1)
+    return counts
+
+
+def _mean_reward(statistics: tuple[Statistic, ...], parts: list[list[np.ndarray]]) -> np.ndarray:
+    """(N,) mean reward per control step; NaN where the reward is not among the statistics."""
+    index = [i for i, s in enumerate(statistics) if s.name == "reward"]
+    if not index:
+        return np.full(len(parts[0][0]), np.nan)
+    pooled = np.concatenate([p[index[0]].reshape(len(p[index[0]]), -1) for p in parts], axis=1)
+    known = np.isfinite(pooled)
+    return np.where(known, pooled, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+
+
+def _silent(names: list[str], used: list[int]) -> tuple[str, ...]:
+    silent = [name for i, name in enumerate(names) if i not in used]
+    return (f"without samples, left out: {', '.join(silent)}",) if silent else ()

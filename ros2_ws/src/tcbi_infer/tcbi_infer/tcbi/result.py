@@ -1,0 +1,153 @@
+"""What an inference found: weighted particles, a table with a verdict per parameter, and what a user must know."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tcbi_infer.tcbi.method import Generation
+from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, quantiles, resample
+from tcbi_sim.model import Model
+from tcbi_sim.parameter import Parameter
+
+FLAT_VARIANCE = 1.0 / 12.0  # of a flat prior on [0, 1]
+IDENTIFIED_BELOW = 0.5  # of the prior's variance, with 95 % confidence
+EDGE = 0.02  # share of the range that counts as a bound
+PILED = 0.5  # share of the posterior at a bound that is worth a warning
+MISFIT = 4.0  # divergence over its floor
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter's posterior, in physical units."""
+
+    name: str
+    unit: str
+    mean: float
+    sd: float
+    low90: float
+    high90: float
+    prior_sd: float
+    variance_ratio: float  # posterior over prior variance, on the parameter's scale
+    variance_ratio_high: float  # its upper 95 % bound, given how few particles carry weight
+    identified: bool  # whether the data say something about it
+
+    def as_json(self) -> dict[str, Any]:
+        """As the contract has it, and a little more."""
+        keys = ("name", "unit", "mean", "sd", "low90", "high90", "identified", "variance_ratio")
+        return {key: getattr(self, key) for key in keys}
+
+
+@dataclass(frozen=True)
+class Result:
+    """The outcome of one inference."""
+
+    model: Model  # whose structure was inferred
+    method: str
+    task: str
+    statistics: tuple[str, ...]
+    rollouts: tuple[str, ...]
+    unit: np.ndarray  # (M, P) in [0, 1]
+    log_weights: np.ndarray  # (M,) normalised
+    estimates: tuple[Estimate, ...]
+    ess: float
+    simulations: int  # rollouts simulated
+    seconds: float
+    generations: tuple[dict[str, Any], ...]  # one entry each: mean, variance, ess, alpha, divergence
+    converged: bool
+    closed_loop: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def particles(self) -> np.ndarray:
+        """(M, P) physical values."""
+        return self.model.from_unit(self.unit)
+
+    @property
+    def divergence(self) -> dict[str, float]:
+        """Weighted mean divergence of each statistic, at the end."""
+        values = self.generations[-1]["divergence"] if self.generations else []
+        return dict(zip(self.statistics, values, strict=False))
+
+    def draws(self, count: int, seed: int = 0) -> np.ndarray:
+        """(count, P) equally weighted physical values."""
+        rng = np.random.default_rng(seed)
+        return self.particles[rng.permutation(resample(rng, np.exp(self.log_weights), count))]
+
+
+def estimates(
+    parameters: Sequence[Parameter], unit: np.ndarray, log_weights: np.ndarray, seed: int = 0
+) -> tuple[Estimate, ...]:
+    """The table, from (M, P) particles in [0, 1] and (M,) log-weights."""
+    weights = normalised(log_weights)
+    _, variance = mean_and_variance(unit, weights)
+    high = _variance_bound(unit, weights, seed)
+    grid = (np.arange(1000) + 0.5) / 1000
+    rows = []
+    for i, p in enumerate(parameters):
+        values = p.from_unit(unit[:, i])
+        mean, spread = mean_and_variance(values[:, None], weights)
+        low90, high90 = quantiles(values[:, None], weights, [0.05, 0.95])[:, 0]
+        ratio, ratio_high = float(variance[i] / FLAT_VARIANCE), float(high[i] / FLAT_VARIANCE)
+        rows.append(
+            Estimate(
+                p.name,
+                p.unit,
+                float(mean[0]),
+                float(np.sqrt(spread[0])),
+                float(low90),
+                float(high90),
+                float(p.from_unit(grid).std()),
+                ratio,
+                ratio_high,
+                ratio_high < IDENTIFIED_BELOW,
+            )
+        )
+    return tuple(rows)
+
+
+def _variance_bound(unit: np.ndarray, weights: np.ndarray, seed: int, resamples: int = 200) -> np.ndarray:
+    """Upper 95 % bound (P,) of the variance, by resampling as many particles as the effective sample size has."""
+    rng = np.random.default_rng(seed)
+    size = max(2, int(effective_sample_size(weights)))
+    picked = rng.choice(len(weights), size=(resamples, size), p=weights)
+    return np.quantile(unit[picked].var(axis=1, ddof=1), 0.95, axis=0)
+
+
+def findings(
+    parameters: Sequence[Parameter],
+    unit: np.ndarray,
+    log_weights: np.ndarray,
+    statistics: Sequence[str],
+    last: Generation,
+    finished: bool,
+) -> list[str]:
+    """Warnings that the posterior itself gives: bounds that exclude the data, misfit, too few particles."""
+    weights = normalised(log_weights)
+    lines = []
+    for i, p in enumerate(parameters):
+        for end, bound, inside in (("low", p.low, unit[:, i] < EDGE), ("high", p.high, unit[:, i] > 1 - EDGE)):
+            share = weights[inside].sum()
+            if share > PILED:
+                lines.append(
+                    f"the prior of {p.name} seems to exclude the data: {share:.0%} of the posterior piles up at its "
+                    f"{end} end, {bound:g} {p.unit}; widen the prior, or an effect is missing"
+                )
+    noise, misfit = last.notes.get("floor_noise"), last.notes.get("floor_misfit")
+    if noise is not None and misfit is not None:
+        for name, n, m in zip(statistics, noise, misfit, strict=True):
+            ratio = m / max(n, 1e-9)
+            if ratio > MISFIT:
+                lines.append(
+                    f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what "
+                    "rollouts differ by; the posterior is widened for it, and an effect may be missing (tcbi diagnose)"
+                )
+    supported = last.notes.get("alpha_supported")
+    if supported and not finished and last.alpha < 0.99 * supported:
+        share = last.alpha / supported
+        lines.append(
+            f"more could be learnt: with {last.ess:.0f} effective particles the data are weighed at {share:.0%} of "
+            "what they support, so the posterior is wider than need be; more generations narrow it"
+        )
+    return lines

@@ -1,0 +1,158 @@
+"""The real rollouts of an inference: checked, grouped, and each group on its own time grid."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tcbi_infer.errors import InferError
+from tcbi_infer.statistics import RolloutArrays, from_measurements
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model
+from tcbi_sim.rig import Noise, load_rig
+
+ENOUGH = 8  # rollouts, below which rollouts are cut into blocks so that their scatter can be seen
+LEAST_SAMPLES = 20
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rollouts that are simulated together: one task, one duration, one policy."""
+
+    measurements: tuple[Measurement, ...]
+    time: np.ndarray  # (T,) s, from 0
+    arrays: RolloutArrays  # N = 1
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        return float(self.time[-1])
+
+
+def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Measurement], list[str]]:
+    """Usable rollouts of the model's rig, and what a user should know about them.
+
+    Raises:
+      InferError: rollouts of another rig, too few, without commands, or all identical.
+    """
+    warnings = []
+    others = sorted({m.rig for m in measurements} - {model.rig})
+    if others:
+        wrong = [m.rollout_id for m in measurements if m.rig != model.rig]
+        raise InferError(
+            f"model {model.version} is of rig {model.rig}, but {_some(wrong)} {_are(wrong)} of {', '.join(others)}; "
+            "infer each rig's rollouts with a model of that rig"
+        )
+    usable = [m for m in measurements if len(m.time) >= LEAST_SAMPLES and len(m.commands.time)]
+    if len(usable) < len(measurements):
+        short = [m.rollout_id for m in measurements if not (len(m.time) >= LEAST_SAMPLES and len(m.commands.time))]
+        warnings.append(f"{_some(short)} left out: fewer than {LEAST_SAMPLES} samples, or no command")
+    distinct = list({m.rollout_id: m for m in usable}.values())
+    if len(distinct) < len(usable):
+        warnings.append(
+            f"{len(usable) - len(distinct)} bags hold a rollout that another one holds too; each counts once"
+        )
+    if len(distinct) < 2:
+        raise InferError(
+            f"{len(distinct)} usable rollout(s), at least 2 are needed to see how rollouts differ (20 advised); "
+            "record more"
+        )
+    if _identical(distinct):
+        raise InferError(
+            f"all {len(distinct)} rollouts are identical to the last bit, so nothing shows how the robot differs from "
+            "itself; record rollouts with other seeds or slopes"
+        )
+    return distinct, warnings + _mixture(distinct)
+
+
+def _identical(measurements: Sequence[Measurement]) -> bool:
+    first = measurements[0].joint_position
+    return all(np.array_equal(m.joint_position, first) for m in measurements[1:])
+
+
+def _mixture(measurements: Sequence[Measurement]) -> list[str]:
+    found = []
+    tasks = sorted({m.scenario.task for m in measurements})
+    if len(tasks) > 1:
+        found.append(
+            f"rollouts of several tasks ({', '.join(tasks)}) are taken together: their distributions are pooled"
+        )
+    policies = sorted({m.policy_id for m in measurements})
+    if len(policies) > 1:
+        found.append(f"rollouts of {len(policies)} policies ({_some(policies)}) are taken together")
+    if len(measurements) < ENOUGH:
+        found.append(
+            f"only {len(measurements)} rollouts: each is cut into {blocks_for(len(measurements))} blocks to judge the "
+            "scatter, which misses what differs between rollouts only; record 20 for a posterior to rely on"
+        )
+    return found
+
+
+def blocks_for(rollouts: int) -> int:
+    """Blocks that each rollout is cut into, so that there are at least `ENOUGH` units to resample."""
+    return -(-ENOUGH // rollouts)
+
+
+def sample_rate(model: Model, measurements: Sequence[Measurement]) -> float:
+    """The rig's rate, or an integer fraction of it where the recordings are slower (Hz)."""
+    recorded = min(float(1 / np.median(np.diff(m.time))) for m in measurements)
+    rate = load_rig(model.rig).rate
+    return rate / max(1, round(rate / recorded))
+
+
+def grouped(measurements: Sequence[Measurement], rate: float, by_policy: bool) -> list[Group]:
+    """Rollouts of one task and nearly one duration (0.5 s) together, cut to the shortest of them."""
+    groups: dict[tuple, list[Measurement]] = {}
+    for m in measurements:
+        end = min(m.scenario.duration, float(m.time[-1]))
+        key = (m.scenario.task, round(2 * end), m.commands.ramp, m.policy_id if by_policy else "")
+        groups.setdefault(key, []).append(m)
+    return [_group(members, rate) for _, members in sorted(groups.items(), key=lambda item: str(item[0]))]
+
+
+def _group(members: list[Measurement], rate: float) -> Group:
+    end = min(min(m.scenario.duration, float(m.time[-1]) + 0.5 / rate) for m in members)
+    time = np.arange(int(np.floor(end * rate + 1e-6)) + 1) / rate
+    cut = [_until(m, float(time[-1])) for m in members]
+    return Group(tuple(cut), time, from_measurements(cut, time))
+
+
+def _until(m: Measurement, duration: float) -> Measurement:
+    inside = m.commands.time < duration - 1e-9
+    power = m.commands.torque_on
+    commands = dataclasses.replace(
+        m.commands,
+        time=m.commands.time[inside],
+        target=m.commands.target[inside],
+        torque_on=None if power is None else power[inside],
+    )
+    return dataclasses.replace(m, commands=commands, scenario=dataclasses.replace(m.scenario, duration=duration))
+
+
+def sensor_noise(measurements: Sequence[Measurement], nominal: Noise) -> Noise:
+    """White noise for simulated readings: the rig's, or less where the recordings show less.
+
+    Third differences of smooth signals leave little but noise; the median is taken, since motion can only add to it.
+    """
+
+    def least(field: str, sd: float) -> float:
+        values = [v for v in (getattr(m, field) for m in measurements) if v is not None and len(v) > 4]
+        if not values:
+            return 0.0
+        spread = [np.median(np.abs(np.diff(v, n=3, axis=0))) / (0.6745 * np.sqrt(20.0)) for v in values]
+        return min(sd, float(np.median(spread)))
+
+    return Noise(
+        joint_position=least("joint_position", nominal.joint_position),
+        attitude=least("attitude", nominal.attitude / 2) * 2,
+        angular_velocity=least("angular_velocity", nominal.angular_velocity),
+    )
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _are(names: Sequence[str]) -> str:
+    return "is" if len(names) == 1 else "are"
