@@ -236,8 +236,9 @@ class SimNode(Node):
         return response
 
     def _on_release(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self.live.release()
-        response.message = "released; limp until reset_episode" if response.success else "no emergency stop stood"
+        stood = self.live.release()
+        response.success = True
+        response.message = "released; limp until reset_episode" if stood else "no emergency stop stood"
         return response
 
 
