@@ -61,7 +61,8 @@ def install(torch: str) -> bool:
         run("making .venv", [uv, "venv", "--python", sys.executable, VENV], environment, "remove .venv and call again")
     arguments, size = _torch_arguments(torch, environment)
     _check_space(size)
-    command = [str(uv), "pip", "install", "--python", str(PYTHON), "--no-deps", *arguments]
+    options = ["--python", str(PYTHON), "--no-deps", "--build-constraints", str(LOCK)]
+    command = [str(uv), "pip", "install", *options, *arguments]
     run("installing the locked packages", command, environment, NETWORK)
     patch_cmake_files()
     write(STATE / "environment", key(torch))
