@@ -60,7 +60,7 @@ class Move:
     """A linear ramp of all joints.
 
     Attributes:
-      start: (18,) rad, where the ramp begins: the last commanded position.
+      start: (18,) rad, where the ramp begins: where the last one has got to by now.
       target: (18,) rad, after all limits.
       duration_s: time of the ramp.
       arm: the torque is off and has to come on first, with `start` as the goal.
@@ -137,7 +137,8 @@ class Safety:
         self.needs_reset = False
         self.resetting = False
         self._approaching = True
-        self._setpoint: tuple[float, ...] = ()
+        self._ramp: Move | None = None
+        self._ramp_s = 0.0
         self._measured: tuple[float, ...] = ()
         self._measured_s = -math.inf
         self._deadline_s = math.inf
@@ -187,8 +188,8 @@ class Safety:
             )
         arm = self.mode is Mode.LIMP
         if arm:
-            self._setpoint, self._approaching = self._measured, True
-        start = self._setpoint
+            self._approaching = True
+        start = self._measured if arm else self._setpoint(now)
         limit = self.limits.joint_limit
         inside = [min(max(t, -limit), limit) for t in target]
         slow = self._approaching or from_reset
@@ -197,9 +198,10 @@ class Safety:
         limited = tuple(n for n, t, s in zip(JOINTS, target, safe, strict=True) if abs(t - s) > 1e-9)
         if all(abs(t - s) <= 1e-9 for t, s in zip(inside, safe, strict=True)):
             self._approaching = False
-        self._setpoint, self.mode, self.reason = safe, Mode.ACTIVE, ""
+        self.mode, self.reason = Mode.ACTIVE, ""
         self._deadline_s = now + self.limits.silence_s
-        return Move(start, safe, duration_s, arm, limited)
+        self._ramp, self._ramp_s = Move(start, safe, duration_s, arm, limited), now
+        return self._ramp
 
     def hold(self, now: float) -> None:
         """A reset is done: keep its posture for a while without commands."""
@@ -221,7 +223,7 @@ class Safety:
             raise CommandRefused("reset: another reset is still moving the robot")
         self._check_feedback(now, "reset")
         self.needs_reset, self.resetting = False, True
-        return self._setpoint if self.mode is Mode.ACTIVE else self._measured
+        return self._setpoint(now) if self.mode is Mode.ACTIVE else self._measured
 
     def go_limp(self, reason: str, needs_reset: bool = False) -> None:
         """Torque off, and why. An emergency stop that stands keeps standing."""
@@ -241,6 +243,13 @@ class Safety:
             return False
         self.mode, self.reason = Mode.LIMP, "emergency stop released"
         return True
+
+    def _setpoint(self, now: float) -> tuple[float, ...]:
+        """(18,) rad, how far the last ramp has got. So a command that comes early is no way round the speed limit."""
+        ramp = self._ramp
+        assert ramp is not None
+        share = min(max((now - self._ramp_s) / ramp.duration_s, 0.0), 1.0)
+        return tuple(s + share * (t - s) for s, t in zip(ramp.start, ramp.target, strict=True))
 
     def _check_mode(self, now: float, from_reset: bool) -> None:
         if self.mode is Mode.STOPPED:

@@ -55,6 +55,19 @@ def test_a_commanded_jump_is_slowed_to_the_greatest_speed():
     assert move.limited == ("lf_coxa",)
 
 
+@given(st.lists(st.tuples(st.floats(0.005, 0.5), st.floats(0.02, 2.0), st.floats(-1, 1)), min_size=2, max_size=8))
+def test_no_rhythm_of_commands_outruns_the_greatest_speed(commands: list[tuple[float, float, float]]):
+    safety, now, ramp, ramp_begin = _active(), 1.0, None, 0.0
+    for wait, duration, target in commands:
+        safety.measured(now, ZERO)
+        move = safety.command(now, (target,) * 18, duration)
+        if ramp is not None:
+            share = min((now - ramp_begin) / ramp.duration_s, 1)
+            assert move.start[0] == pytest.approx(ramp.start[0] + share * (ramp.target[0] - ramp.start[0]), abs=1e-9)
+        assert abs(move.target[0] - move.start[0]) <= 2.0 * duration + 1e-9
+        ramp, ramp_begin, now = move, now, now + wait
+
+
 @given(st.lists(st.floats(-1e6, 1e6), min_size=18, max_size=18), st.floats(0.02, 2.0))
 def test_no_target_leaves_the_joint_range_or_breaks_the_speed(target: list[float], duration: float):
     safety = _active()
@@ -157,8 +170,8 @@ def test_after_the_first_command_a_held_posture_is_watched_as_usual():
 def test_a_reset_from_a_moving_robot_begins_at_its_last_commanded_position_and_is_slow():
     safety = _active()
     safety.command(0.1, (0.3,) * 18, 0.2)
-    assert safety.begin_reset(0.2) == (0.3,) * 18
-    assert safety.command(0.2, ZERO, 0.2, from_reset=True).target == pytest.approx((0.2,) * 18)
+    assert safety.begin_reset(0.3) == pytest.approx((0.3,) * 18)
+    assert safety.command(0.3, ZERO, 0.2, from_reset=True).target == pytest.approx((0.2,) * 18)
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, 0.019, 2.1, math.inf, math.nan])
