@@ -1,6 +1,7 @@
 """What holds between packages: dependencies point one way, pure modules need no ROS, nothing names this machine."""
 
 import ast
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -97,7 +98,7 @@ def ros_modules() -> set[str]:
 
 
 def test_only_nodes_and_what_stands_between_them_import_ros():
-    between = {"messages", "parameters", "running", "recorder", "graph_monitor", "domain_lock", "graph_check"}
+    between = {"messages", "parameters", "running", "recorder", "collector", "interfaces", "graph_monitor"}
     direct = {
         name
         for package in ALLOWED
@@ -170,3 +171,28 @@ def test_a_package_is_what_ros_expects(package):
 def test_each_folder_of_modules_is_a_python_package(package):
     folders = {file.parent for file in (SOURCE / package / package).rglob("*.py")}
     assert not [str(f.relative_to(SOURCE)) for f in sorted(folders) if not (f / "__init__.py").is_file()]
+
+
+ROSDEP_KEYS = {
+    "numpy": "python3-numpy",
+    "scipy": "python3-scipy",
+    "serial": "python3-serial",
+    "yaml": "python3-yaml",
+    "matplotlib": "python3-matplotlib",
+    "jinja2": "python3-jinja2",
+    "netCDF4": "python3-netcdf4",
+    "psutil": "python3-psutil",
+    "stable_baselines3": "python3-stable-baselines3-pip",
+    "ament_index_python": "ament_index_python",
+}
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_every_other_import_has_a_rosdep_key_or_stands_in_the_list_of_pypi(package):
+    lines = (ROOT / "ros2_ws" / "requirements-pypi.txt").read_text(encoding="utf-8").splitlines()
+    listed = {re.split(r"[=<>;\s]", line)[0].replace("-", "_") for line in lines if line[:1].isalnum()}
+    used = set().union(*(packages_of(imported(file)) for file in modules(package).values()))
+    others = used - OWN - ROS - set(sys.stdlib_module_names)
+    keys = declared(package, "depend", "exec_depend")
+    missing = {name for name in others if ROSDEP_KEYS.get(name) not in keys and name not in listed}
+    assert not missing, "declare it in package.xml, or in ros2_ws/requirements-pypi.txt where rosdep has no key"
