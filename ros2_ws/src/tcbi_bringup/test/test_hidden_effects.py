@@ -1,5 +1,6 @@
 """Each hidden effect changes the motion the way its physics says, `none` changes nothing."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ def standing(hidden: str, strength: str = "strong", settle: float = 2.0) -> Phys
     return body
 
 
+@cache
 def swing(hidden: str, strength: str = "strong", trial: int = 0) -> Recording:
     """The legs of one tripod are lifted; then their coxae, free of the ground, swing forward in one move."""
     lifted = np.tile([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]], (3, 1)).ravel()

@@ -16,7 +16,7 @@ from tcbi_bringup.emulated_robot.drawing import Drawing, Hip
 
 STEP_S = 5e-4
 GRAVITY = 9.81
-CONTACT = {"solref": "-20000 -120", "solimp": "0.95 0.99 0.0005 0.5 2"}
+CONTACT = {"solref": "-20000 -200", "solimp": "0.95 0.99 0.0005 0.5 2"}
 IMPRATIO = 200
 TURNING_FRICTION = (0.003, 0.0001)  # m, torsion and rolling
 HORN_STOP = 1.05  # of the joint range, where the mechanical stop is

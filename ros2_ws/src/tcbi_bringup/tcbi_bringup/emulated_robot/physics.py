@@ -204,7 +204,7 @@ class Physics:
         np.divide(self.shaft, STEP, out=encoder)
         np.rint(encoder, out=encoder)
         np.multiply(encoder, STEP, out=encoder)
-        torque = effect.drive(self.servos.torque(self.time, encoder))
+        torque = effect.drive(self.servos.torque(self.time + LOOP_PERIOD_S / 2, encoder))
         self._torque = torque
         if effect.gear is not None:
             torque = effect.gear.push(torque, self._angles, self._speeds, LOOP_PERIOD_S)

@@ -35,11 +35,11 @@ class Imu:
 
     FILTER_TIME_S = 2e-3
     FUSION_PERIOD_S = 5e-3
-    FUSION_GAIN = 0.25  # 1/s, towards the accelerometer
-    ACCELERATION_TRUST = 0.1  # share of g within which the accelerometer is believed
+    FUSION_GAIN = 0.15  # 1/s, towards the accelerometer
+    GRAVITY_TIME_S = 0.1  # over which the fusion averages the accelerometer before it believes it
     GYRO_STEP = math.radians(1 / 65.5)  # rad/s, +-500 degrees/s in 16 bit
     GYRO_NOISE = 0.006  # rad/s
-    GYRO_BIAS, GYRO_BIAS_TIME_S = 3e-4, 60.0  # rad/s
+    GYRO_BIAS, GYRO_BIAS_TIME_S = 2e-4, 60.0  # rad/s
     ACCELERATION_STEP = 2 * 4 * GRAVITY / 65536  # m/s^2, +-4 g in 16 bit
     ACCELERATION_NOISE = 0.05  # m/s^2
     ACCELERATION_BIAS = 0.01  # m/s^2, of this robot
@@ -54,12 +54,14 @@ class Imu:
         self._filtered = np.zeros(6)
         self._scratch = np.zeros(6)
         self._count = 0
+        self._gravity = [0.0, 0.0, GRAVITY]
         self._attitude = np.array([1.0, 0.0, 0.0, 0.0])
 
     def reset(self, attitude: np.ndarray, acceleration: np.ndarray) -> None:
         """Start at rest at a known attitude (4,) w x y z; acceleration (3,) m/s^2 in `imu_link`."""
         self._attitude = np.array(attitude, float)
         self._filtered[:3], self._filtered[3:] = 0.0, acceleration
+        self._gravity = (acceleration + self._acceleration_bias).tolist()
         self._count = 0
 
     def tick(self, motion: np.ndarray) -> None:
@@ -95,15 +97,15 @@ class Imu:
             v + b + self.ACCELERATION_NOISE * n
             for v, b, n in zip(self._filtered[3:], self._acceleration_bias, noise[3:6], strict=True)
         ]
+        share = dt / self.GRAVITY_TIME_S
+        self._gravity = [g + share * (f - g) for g, f in zip(self._gravity, force, strict=True)]
         w, x, y, z = self._attitude.tolist()
-        size = math.sqrt(sum(f * f for f in force))
-        if abs(size / GRAVITY - 1.0) < self.ACCELERATION_TRUST:
-            ax, ay, az = (f / size for f in force)
-            ux, uy, uz = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-            gain = self.FUSION_GAIN
-            rate[0] += gain * (ay * uz - az * uy)
-            rate[1] += gain * (az * ux - ax * uz)
-            rate[2] += gain * (ax * uy - ay * ux)
+        ax, ay, az = self._gravity
+        ux, uy, uz = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+        gain = self.FUSION_GAIN / max(math.sqrt(ax * ax + ay * ay + az * az), 1e-9)
+        rate[0] += gain * (ay * uz - az * uy)
+        rate[1] += gain * (az * ux - ax * uz)
+        rate[2] += gain * (ax * uy - ay * ux)
         h = 0.5 * dt
         p, q, r = rate
         turned = np.array(

@@ -72,7 +72,7 @@ class Servos:
         """One turn of the loops.
 
         Args:
-          time: s on the robot's clock.
+          time: s on the robot's clock, the middle of the turn: the torque stands until its end.
           encoder: (J,) rad, whole steps.
 
         Returns:
