@@ -4,6 +4,7 @@ import argparse
 import difflib
 import importlib
 import importlib.util
+import keyword
 import os
 import signal
 import sys
@@ -31,8 +32,9 @@ class Command:
 
     @property
     def module(self) -> str:
-        """Where the command lives."""
-        return f"tcbi_bringup.commands.{self.name.replace('-', '_')}"
+        """Where the command lives; `import` is a word of the language, so its module is `import_`."""
+        name = self.name.replace("-", "_")
+        return f"tcbi_bringup.commands.{name}{'_' if keyword.iskeyword(name) else ''}"
 
 
 GROUPS = {

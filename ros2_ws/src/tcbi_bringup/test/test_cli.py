@@ -1,11 +1,12 @@
 """The command line: the table, errors in one line, exit statuses."""
 
 import importlib
+import pkgutil
 import types
 
 import pytest
 
-from tcbi_bringup import cli
+from tcbi_bringup import cli, commands
 from tcbi_contract.errors import TcbiError
 
 
@@ -33,6 +34,11 @@ def test_the_overview_lists_every_command_that_is_there_under_its_heading(capsys
 def test_names_are_unique_and_groups_known():
     assert len({c.name for c in cli.COMMANDS}) == len(cli.COMMANDS)
     assert {c.group for c in cli.COMMANDS} <= set(cli.GROUPS)
+
+
+def test_every_command_module_is_in_the_table():
+    modules = {m.name for m in pkgutil.iter_modules(commands.__path__)} - {"console"}
+    assert modules <= {c.module.rpartition(".")[2] for c in cli.COMMANDS}
 
 
 @pytest.mark.parametrize("command", cli.available(), ids=lambda c: c.name)
