@@ -1,7 +1,7 @@
 """The driver node as a process, in front of the emulated electronics: topics, services, exit codes."""
 
-import json
-import re
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -147,24 +147,28 @@ def test_diagnostics_tell_voltage_temperature_link_and_mode(make_bench, start_gr
     assert entries()["safety"][0] == 1 and "reset_episode" in entries()["safety"][1]
 
 
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
-        ({"port": "/dev/no_such_robot"}, "/dev/no_such_robot does not exist"),
-        ({"port": ""}, "parameter 'port'"),
-        ({"port": "/dev/null"}, "not a serial port"),
-        ({"port": "x", "max_speed": 99.0}, "parameter 'max_speed': got 99.0"),
-        ({"port": "x", "wheel": 1}, "unknown parameter 'wheel'"),
-        ({"port": "x", "calibration": "/no/file.toml"}, "calibration /no/file.toml"),
-        ({"port": "x", "use_sim_time": True}, "use_sim_time"),
-    ],
-)
-def test_what_cannot_work_ends_with_one_line_and_status_1(start_graph, parameters: dict, words: str):
-    process = NodeProcess("hexapod_driver", "driver_node", parameters=parameters)
-    graph = start_graph(process, wait=False)
-    assert graph.wait_for_exit("driver_node", DEADLINE_S) == 1
-    lines = [line for line in graph.tail("driver_node", 20).splitlines() if line.startswith("driver_node:")]
-    assert len(lines) == 1 and re.search(re.escape(words), lines[0]), json.dumps(graph.tail("driver_node", 20))
+BAD_STARTS = {
+    "absent": ({"port": "/dev/no_such_robot"}, "/dev/no_such_robot does not exist"),
+    "unnamed": ({"port": ""}, "parameter 'port'"),
+    "no_port": ({"port": "/dev/null"}, "not a serial port"),
+    "too_fast": ({"port": "x", "max_speed": 99.0}, "parameter 'max_speed': got 99.0"),
+    "unknown": ({"port": "x", "wheel": 1}, "unknown parameter 'wheel'"),
+    "calibration": ({"port": "x", "calibration": "/no/file.toml"}, "calibration /no/file.toml"),
+    "clock": ({"port": "x", "use_sim_time": True}, "use_sim_time"),
+}
+
+
+def test_what_cannot_work_ends_with_one_line_and_status_1(start_graph):
+    processes = [
+        NodeProcess("hexapod_driver", "driver_node", name=name, parameters=parameters)
+        for name, (parameters, _) in BAD_STARTS.items()
+    ]
+    graph = start_graph(*processes, wait=False)
+    for name, (_, words) in BAD_STARTS.items():
+        assert graph.wait_for_exit(name, DEADLINE_S) == 1, name
+        lines = [line for line in graph.tail(name, 20).splitlines() if line.startswith("driver_node:")]
+        assert len(lines) == 1 and words in lines[0], graph.tail(name, 20)
+        assert "Traceback" not in graph.tail(name, 20)
 
 
 def test_a_second_driver_on_the_same_port_is_told_that_it_is_busy(make_bench, start_graph, peer):
@@ -183,3 +187,14 @@ def test_ending_the_node_makes_the_robot_limp(make_bench, start_graph, peer):
     assert bench.body.torque.all()
     assert graph.stop("driver_node") == {"driver_node": 0}
     assert not bench.body.torque.any()
+
+
+def test_a_driver_killed_at_once_leaves_a_limp_robot(make_bench, start_graph, peer, until):
+    bench = make_bench()
+    graph = start_graph(_node(bench))
+    assert peer.call(names.RESET_EPISODE, ResetEpisode.Request(), ResetEpisode).success
+    assert bench.body.torque.all()
+    (status,) = graph.status()
+    os.kill(status.pid, signal.SIGKILL)
+    assert graph.wait_for_exit("driver_node", DEADLINE_S) == -signal.SIGKILL
+    until(lambda: not bench.body.torque.any(), "limp by the board's watchdog")

@@ -12,7 +12,7 @@ import serial
 from hexapod_driver import calibration, feetech, sensor_board
 from hexapod_driver.errors import PortError, StartupError
 from hexapod_driver.link import Link, LinkSettings
-from hexapod_driver.robot import BoardReading, JointReading
+from hexapod_driver.readings import BoardReading, JointReading
 from hexapod_driver.sensor_board import Frame, Kind
 from tcbi_contract.safety import Limits, Mode
 
@@ -142,7 +142,7 @@ def test_a_driver_that_dies_leaves_a_limp_robot(make_bench, make_driver, until, 
     driver = make_driver(bench.paths)
     driver.link.connect()
     robot = driver.link.robot
-    until(lambda: robot.step() or bool(driver.joints), "a reading")
+    until(lambda: robot.receive() or robot.act() or bool(driver.joints), "a reading")
     robot.command(ZERO, 0.2)
     until(lambda: bool(bench.body.torque.all()), "torque")
     until(lambda: not bench.body.torque.any(), "limp without a word from the driver")

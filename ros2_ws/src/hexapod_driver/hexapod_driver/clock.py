@@ -2,7 +2,7 @@
 
 from collections import deque
 
-_WINDOW_NS = 10_000_000_000
+_WINDOW_NS = 3_000_000_000
 _RESTART_NS = 250_000_000
 _LEAST_STEP_NS = 1_000
 
@@ -11,7 +11,7 @@ class BoardClock:
     """Maps the board's clock onto the clock of this computer.
 
     A frame arrives late by the link's delay, never early. So the smallest difference between arrival and the board's
-    time over the last ten seconds is the offset between the clocks, up to the least delay of the link; it follows the
+    time over the last three seconds is the offset between the clocks, up to the least delay of the link; it follows the
     drift between them. A stamp is never later than its arrival.
 
     A board that was restarted counts from zero again, and a computer's clock may be set: a difference that jumps by

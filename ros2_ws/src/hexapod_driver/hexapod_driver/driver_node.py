@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -22,7 +22,9 @@ from trajectory_msgs.msg import JointTrajectory
 from hexapod_driver import calibration, status
 from hexapod_driver.clock import RisingStamps
 from hexapod_driver.link import Link, LinkSettings
-from hexapod_driver.robot import BoardReading, Done, JointReading, Reading, Robot
+from hexapod_driver.messages import command, diagnostics, not_settable, posture
+from hexapod_driver.readings import BoardReading, JointReading, Reading
+from hexapod_driver.robot import Done, Robot
 from tcbi_contract import messages, names, safety
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.parameters import ParameterError, declare, parameter
@@ -152,43 +154,24 @@ class DriverNode(Node):
     def _diagnose(self) -> None:
         if not self.link.alive:
             raise TcbiError("the link's thread has ended by a fault of the driver; its traceback stands above")
-        message = DiagnosticArray()
-        message.header.stamp = self.get_clock().now().to_msg()
+        entries = status.statuses(self.link, self._refused, self._last_refusal)
         board = self.link.identity.name if self.link.identity else ""
-        for entry in status.statuses(self.link, self._refused, self._last_refusal):
-            values = [KeyValue(key=key, value=value) for key, value in entry.values.items()]
-            message.status.append(
-                DiagnosticStatus(
-                    level=bytes((entry.level,)),
-                    name=f"{self.get_name()}: {entry.name}",
-                    message=entry.message,
-                    hardware_id=board,
-                    values=values,
-                )
-            )
-        self._diagnostics.publish(message)
+        self._diagnostics.publish(diagnostics(self.get_clock().now().to_msg(), self.get_name(), board, entries))
 
     # In
 
     def _on_command(self, message: JointTrajectory) -> None:
         try:
-            target, duration = self._understand(message)
+            target, duration = command(message)
+            stamp = messages.seconds(message.header.stamp)
+            safety.check_age(stamp, 1e-9 * self._now(), self._newest_command_s)
         except CommandRefused as error:
             self._refuse(str(error))
             return
+        self._newest_command_s = max(self._newest_command_s, stamp)
         self.link.post(
             lambda robot: robot.command(target, duration), lambda text: self._later(lambda: self._refuse(text))
         )
-
-    def _understand(self, message: JointTrajectory) -> tuple[tuple[float, ...], float]:
-        if len(message.points) != 1:
-            raise CommandRefused(f"joint_commands: got {len(message.points)} points, allowed is 1")
-        point = message.points[0]
-        target = safety.ordered_target(message.joint_names, point.positions)
-        stamp = messages.seconds(message.header.stamp)
-        safety.check_age(stamp, 1e-9 * self._now(), self._newest_command_s)
-        self._newest_command_s = max(self._newest_command_s, stamp)
-        return target, point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
 
     def _refuse(self, text: str) -> None:
         self._refused += 1
@@ -206,7 +189,7 @@ class DriverNode(Node):
     async def _on_reset(self, request: ResetEpisode.Request, response: ResetEpisode.Response) -> ResetEpisode.Response:
         response.source = SOURCE
         try:
-            target = _posture(request)
+            target = posture(request)
         except CommandRefused as error:
             response.success, response.message = False, str(error)
             return response
@@ -221,38 +204,9 @@ class DriverNode(Node):
             self.link.post(begin, lambda text: done(False, text))
 
         success, text = await self._ask(start)
-        response.success, response.message = success, text + _not_settable(request)
+        response.success, response.message = success, text + not_settable(request)
         response.stamp = messages.to_stamp(self._last_stamp)
         return response
-
-
-def _posture(request: ResetEpisode.Request) -> tuple[float, ...]:
-    """The posture that a reset asks for, or CommandRefused."""
-    if not len(request.joint_position):
-        return (0.0,) * len(names.JOINTS)
-    if len(request.joint_position) != len(names.JOINTS):
-        raise CommandRefused(
-            f"reset: joint_position has {len(request.joint_position)} values, allowed is {len(names.JOINTS)} or none"
-        )
-    target = safety.ordered_target(names.JOINTS, request.joint_position)
-    wrong = [f"{n}={p:.3f}" for n, p in zip(names.JOINTS, target, strict=True) if abs(p) > names.JOINT_LIMIT + 1e-6]
-    if wrong:
-        raise CommandRefused(
-            f"reset: joint_position {', '.join(wrong)}, allowed is {names.JOINT_LIMIT:.4f} rad either side"
-        )
-    return target
-
-
-def _not_settable(request: ResetEpisode.Request) -> str:
-    """What was asked for that hands have to do, in words."""
-    wishes = []
-    if request.slope_roll or request.slope_pitch:
-        wishes.append(f"slope roll {request.slope_roll:.3f}, pitch {request.slope_pitch:.3f} rad")
-    if request.blocks:
-        wishes.append(f"{len(request.blocks)} blocks")
-    if request.model:
-        wishes.append(f"model {request.model}")
-    return f"; not set by the driver: {', '.join(wishes)}" if wishes else ""
 
 
 def main(args: list[str] | None = None) -> int:

@@ -21,10 +21,13 @@ from queue import Empty, SimpleQueue
 from hexapod_driver import startup
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.errors import DriverError, LinkLost, PortError, StartupError
-from hexapod_driver.robot import Done, Reading, Robot
+from hexapod_driver.one_link import OneLink
+from hexapod_driver.readings import Reading
+from hexapod_driver.robot import Done, Robot
 from hexapod_driver.sensor_board import Identity
 from hexapod_driver.serial_port import SerialPort
-from hexapod_driver.wire import OneLink, TwoPorts, Wire
+from hexapod_driver.two_ports import TwoPorts
+from hexapod_driver.wire import Wire
 from tcbi_contract.safety import CommandRefused, Limits, Safety
 
 FIRST_RETRY_S, LAST_RETRY_S = 0.25, 5.0
@@ -175,8 +178,9 @@ class Link:
     def _cycle(self, robot: Robot) -> None:
         mode = self.safety.mode
         try:
+            robot.receive()
             self._act(robot)
-            robot.step()
+            robot.act()
         except LinkLost as error:
             self._lose(robot, str(error))
         if self.safety.mode is not mode:

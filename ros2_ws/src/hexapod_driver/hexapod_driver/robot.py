@@ -1,19 +1,21 @@
 """One connection to the robot: the 50 Hz cycle of reading, and everything that moves a servo.
 
-All methods run in the one thread that owns the port. `step` does what is due, waits a few milliseconds for bytes,
-and hands what came to the sink. Any failure of the wire leaves as `LinkLost`; the safety state outlives the connection.
+All methods run in the one thread that owns the port. `receive` waits a few milliseconds for bytes and hands what came
+to the sink; `act` does what is due. In this order, so that a thread that was held up looks at its mail before it judges
+the robot silent. Any failure of the wire leaves as `LinkLost`; the safety state outlives the connection.
 """
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 from hexapod_driver import feetech, sensor_board
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.errors import LinkLost
 from hexapod_driver.feetech import Packet, TimedMove
 from hexapod_driver.posture import PostureMove
-from hexapod_driver.sensor_board import FrameError, Kind, Sample
+from hexapod_driver.readings import BoardReading, Health, JointReading, Reading
+from hexapod_driver.sensor_board import FrameError, Kind
+from hexapod_driver.timer import Timer
 from hexapod_driver.wire import BoardFrame, BusReply, Wire
 from tcbi_contract.names import CONTROL_PERIOD_S, JOINTS, SENSOR_RATE_HZ
 from tcbi_contract.safety import CommandRefused, Mode, Move, Safety
@@ -28,63 +30,7 @@ STOP_CONFIRM_S = 0.5
 HEALTH_BYTES = 8  # position, speed, load, voltage, temperature from address 56
 
 
-@dataclass(frozen=True)
-class JointReading:
-    """All joints at once: ROS stamp in ns, (18,) rad."""
-
-    stamp_ns: int
-    position: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class BoardReading:
-    """One sample of the sensor board: ROS stamp in ns, the sample."""
-
-    stamp_ns: int
-    sample: Sample
-
-
-Reading = JointReading | BoardReading
 Done = Callable[[bool, str], None]
-
-
-@dataclass
-class Health:
-    """What diagnostics tell about one connection. Keys of the dictionaries are servo ids."""
-
-    voltage: dict[int, float] = field(default_factory=dict)
-    temperature: dict[int, int] = field(default_factory=dict)
-    errors: dict[int, int] = field(default_factory=dict)
-    torque: dict[int, bool] = field(default_factory=dict)
-    incomplete_reads: int = 0
-    silent_servos: tuple[int, ...] = ()
-    joint_readings: int = 0
-    board_samples: int = 0
-    limited_commands: int = 0
-    skipped_questions: int = 0
-
-
-class Timer:
-    """True once a period, without drift, and without catching up on what was missed."""
-
-    def __init__(self, period_s: float, start: float) -> None:
-        self.period_s = period_s
-        self._next = start
-
-    def due(self, now: float) -> bool:
-        """Whether the period has passed."""
-        if now < self._next:
-            return False
-        self._next = max(self._next + self.period_s, now - self.period_s)
-        return True
-
-    def left(self, now: float) -> float:
-        """Seconds until it is due, 0 if it is."""
-        return max(0.0, self._next - now)
-
-    def soon(self, now: float, delay_s: float) -> None:
-        """Be due `delay_s` from now."""
-        self._next = now + delay_s
 
 
 class Robot:
@@ -120,17 +66,21 @@ class Robot:
         self._posture: PostureMove | None = None
         self._stops: list[tuple[float, Done]] = []
 
-    def step(self) -> None:
-        """Do what is due, then wait for bytes, at most 10 ms."""
-        now = time.monotonic()
-        self._watch(now)
-        self._request(now)
-        self._continue_posture(now)
-        for event in self.wire.poll(min(POLL_S, self._read_timer.left(now))):
+    def receive(self) -> None:
+        """Wait for bytes, at most 10 ms, and hand on what they say."""
+        left = self._read_timer.left(time.monotonic())
+        for event in self.wire.poll(min(POLL_S, left)):
             if isinstance(event, BoardFrame):
                 self._take_board(event)
             elif (purpose := self._purpose.pop(event.tag, None)) is not None:
                 purpose(event)
+
+    def act(self) -> None:
+        """Do what is due: look at the watchdogs, ask the robot, go on with a posture."""
+        now = time.monotonic()
+        self._watch(now)
+        self._request(now)
+        self._continue_posture(now)
 
     def command(self, target: Sequence[float], duration_s: float) -> None:
         """Move towards `target` (18,) rad.

@@ -71,7 +71,7 @@ class SerialPort:
             ready, _, _ = select.select([self._serial.fileno()], [], [], 0)
             if not ready:
                 return b""
-            data = os.read(self._serial.fileno(), 4096)
+            data = os.read(self._serial.fileno(), 65536)
         except BlockingIOError:
             return b""
         except (OSError, ValueError, serial.SerialException) as error:

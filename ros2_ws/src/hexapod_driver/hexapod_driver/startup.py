@@ -4,8 +4,9 @@ from hexapod_driver import feetech, sensor_board
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.errors import StartupError
 from hexapod_driver.feetech import Instruction
+from hexapod_driver.one_link import OneLink
 from hexapod_driver.sensor_board import Feature, FrameError, Identity, Kind
-from hexapod_driver.wire import OneLink, Wire
+from hexapod_driver.wire import Wire
 
 ATTEMPTS = 3
 REPLY_S = 0.15

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from hexapod_driver import feetech
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.link import Link
-from hexapod_driver.robot import Health
+from hexapod_driver.readings import Health
 from tcbi_contract.safety import Mode, Safety
 
 OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus

@@ -62,7 +62,9 @@ def bus_path(body: StillBody) -> Iterator[str]:
 
 
 @pytest.fixture
-def client(bus_path: str) -> Iterator[tuple]:
+def client(bus_path: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple]:
+    """The maker's client, patient enough for a busy machine (its own 34 ms are not)."""
+    monkeypatch.setattr(scservo_sdk.port_handler, "LATENCY_TIMER", 1000)
     port = scservo_sdk.PortHandler(bus_path)
     assert port.openPort()
     yield port, scservo_sdk.PacketHandler(0)
