@@ -1,0 +1,133 @@
+"""Which rollouts repeat each other, which make a kind of motion, and which stay sealed.
+
+The unit of evidence is never the sample. Rollouts with the same commands and scenario are replicates: their
+differences are the noise floor, and they count as one observation of the model's error. Replicates never straddle
+a split.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_sim.measurement import Commands, Measurement, Scenario
+
+SAME_TARGET = 2e-3  # rad
+SAME_TIME = 0.03  # s, jitter of a live command stream
+SAME_SHAPE = 0.1  # of a motion's spread
+MIN_KINDS = 5  # fewer kinds than this give no 5 % claim
+
+
+@dataclasses.dataclass(frozen=True)
+class Replicates:
+    """Rollouts that were asked for the same thing.
+
+    Attributes:
+      members: indices into the list of measurements.
+      kind: number of the kind of motion that it belongs to.
+    """
+
+    members: tuple[int, ...]
+    kind: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Split:
+    """Replicate sets by use: `folds` are held out in turn, `sealed` is opened once, for the figure at the end."""
+
+    folds: tuple[tuple[int, ...], ...]
+    sealed: tuple[int, ...]
+
+    @property
+    def open(self) -> tuple[int, ...]:
+        """All replicate sets that fits may see."""
+        return tuple(i for fold in self.folds for i in fold)
+
+
+def same_scenario(a: Scenario, b: Scenario) -> bool:
+    """Whether two rollouts took place in the same surroundings, from the same start."""
+    plain = [dataclasses.replace(s, seed=0, duration=0.0, initial_joint_position=None) for s in (a, b)]
+    starts = [np.zeros(1) if s.initial_joint_position is None else np.array(s.initial_joint_position) for s in (a, b)]
+    return plain[0] == plain[1] and bool(np.all(np.abs(starts[0] - starts[1]) < SAME_TARGET))
+
+
+def same_commands(a: Commands, b: Commands) -> bool:
+    """Whether two command streams are the same up to the jitter of a live stream."""
+    return (
+        a.target.shape == b.target.shape
+        and abs(a.ramp - b.ramp) < 1e-6
+        and bool(np.all(np.abs(a.target - b.target) < SAME_TARGET))
+        and bool(np.all(np.abs(a.time - b.time) < SAME_TIME))
+    )
+
+
+def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
+    """Groups rollouts into replicate sets, in the order of their first member."""
+    groups: list[list[int]] = []
+    for i, m in enumerate(measurements):
+        for group in groups:
+            first = measurements[group[0]]
+            if same_scenario(first.scenario, m.scenario) and same_commands(first.commands, m.commands):
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    labels = [_label(measurements[g[0]]) for g in groups]
+    distinct = list(dict.fromkeys(labels))
+    if len(distinct) >= MIN_KINDS:
+        return [Replicates(tuple(g), distinct.index(label)) for g, label in zip(groups, labels, strict=True)]
+    return [Replicates(tuple(g), kind) for g, kind in zip(groups, _kinds_by_shape(measurements, groups), strict=True)]
+
+
+def _label(measurement: Measurement) -> tuple:
+    return (measurement.scenario.task, measurement.policy_id)
+
+
+def _kinds_by_shape(measurements: Sequence[Measurement], groups: Sequence[Sequence[int]]) -> list[int]:
+    """Kinds where policies do not tell them apart: the same commanded motion is one kind, whatever else differs."""
+    firsts: list[Measurement] = []
+    kinds = []
+    for group in groups:
+        m = measurements[group[0]]
+        for k, first in enumerate(firsts):
+            if same_motion(first.commands, m.commands):
+                kinds.append(k)
+                break
+        else:
+            kinds.append(len(firsts))
+            firsts.append(m)
+    return kinds
+
+
+def same_motion(a: Commands, b: Commands, rate: float = 50.0) -> bool:
+    """Whether two command streams ask for nearly the same motion, however they were sampled."""
+    if not len(a.time) or not len(b.time) or a.target.shape[1] != b.target.shape[1]:
+        return False
+    end = min(a.time[-1], b.time[-1])
+    if max(a.time[-1], b.time[-1]) > 1.2 * end + 0.5:
+        return False
+    grid = np.arange(0.0, end, 1.0 / rate)
+    first, second = (_held(c, grid) for c in (a, b))
+    spread = max(float(np.std(first)), SAME_TARGET)
+    return bool(np.sqrt(np.mean((first - second) ** 2)) < SAME_SHAPE * spread)
+
+
+def _held(commands: Commands, grid: np.ndarray) -> np.ndarray:
+    """(T, J) the last target at each time of the grid."""
+    return commands.target[np.clip(np.searchsorted(commands.time, grid, side="right") - 1, 0, None)]
+
+
+def split(replicates: Sequence[Replicates], seed: int = 0, sealed_share: float = 0.2) -> Split:
+    """Folds of whole kinds of motion, and a sealed part where there are enough kinds.
+
+    With fewer than four kinds nothing is sealed: the figures are then cross-validated only, which the report says.
+    """
+    kinds = sorted({r.kind for r in replicates})
+    order = list(np.random.default_rng(seed).permutation(kinds))
+    count = round(sealed_share * len(kinds)) if len(kinds) >= 4 else 0
+    count = max(count, 1) if len(kinds) >= 4 else 0
+    sealed_kinds = set(order[:count])
+    folds = tuple(
+        tuple(i for i, r in enumerate(replicates) if r.kind == kind) for kind in kinds if kind not in sealed_kinds
+    )
+    return Split(folds, tuple(i for i, r in enumerate(replicates) if r.kind in sealed_kinds))

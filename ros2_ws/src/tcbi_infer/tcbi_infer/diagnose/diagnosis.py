@@ -1,0 +1,343 @@
+"""The diagnosis from end to end: fit the base model, screen every effect, fit the best, judge them on held-out motions.
+
+diagnosis = diagnose(model, measurements)
+diagnosis.verdict, diagnosis.statement, diagnosis.ranking[0].parameters
+"""
+
+import dataclasses
+import itertools
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from tcbi_infer.compare.comparison import compare, error_over_floor
+from tcbi_infer.compare.guards import guard
+from tcbi_infer.compare.noise import NoiseFloor, noise_floor
+from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.replicates import MIN_KINDS, Split, split
+from tcbi_infer.diagnose.evidence import EFFECT, Diagnosis, Evidence, ParameterEstimate
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.heldout import HeldOut, held_out, intervals
+from tcbi_infer.diagnose.null import Null, simulate_null
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.scatter import joint_scatter
+from tcbi_infer.diagnose.screen import Directions, Screen, paired_statistic, simulate_directions
+from tcbi_infer.diagnose.verdict import accept, rivals, rule
+from tcbi_sim.effects import candidates
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model
+from tcbi_sim.rig import load_rig
+
+GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
+Progress = Callable[[str, float], None]  # stage, share done
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """How thorough a diagnosis is."""
+
+    refine: int = 4  # candidates that get a full fit
+    per_effect: int = 2  # sites of one effect among them
+    timestep: float = 0.002  # s, of the final fits
+    coarse: float = 0.005  # s, of the screening and of first fits
+    seed: int = 0
+    likeness: float = 0.97  # cosine above which two candidates' signatures count as the same
+
+
+def diagnose(
+    model: Model,
+    measurements: Sequence[Measurement],
+    *,
+    uses: Sequence[str] | None = None,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Finds the physical effect that a model lacks.
+
+    Args:
+      model: the base model; its parameters are fitted again.
+      measurements: rollouts, several kinds of motion, each recorded twice at best.
+      uses: candidate effects, "name" or "name:site"; the whole library by default.
+      settings: how thorough.
+      progress: called with the stage and the share done.
+
+    Raises:
+      CompareError: nothing to compare, or another rig's rollouts.
+    """
+    return _Run(model, measurements, uses, settings or Settings(), progress or (lambda stage, share: None)).go()
+
+
+class _Run:
+    """One diagnosis; each method is a stage."""
+
+    def __init__(
+        self,
+        model: Model,
+        measurements: Sequence[Measurement],
+        uses: Sequence[str] | None,
+        settings: Settings,
+        progress: Progress,
+    ) -> None:
+        self.began = time.perf_counter()
+        self.model, self.settings, self.progress = model, settings, progress
+        self.measurements = measurements
+        self.replay = Replay.of(model, measurements)
+        self.split: Split = split(self.replay.replicates, settings.seed)
+        self.sets = np.array(self.split.open, int)
+        self.uses = list(uses) if uses is not None else self._library()
+        self.floor = self._floor(model)
+        self.problem = Problem.of(self.replay, self.floor.values)
+
+    def _library(self) -> list[str]:
+        return [u.key for u in candidates(load_rig(self.model.rig)) if u.key not in self.model.effects]
+
+    def _floor(self, model: Model) -> NoiseFloor:
+        predicted = self.replay.predict(model, model.mean()[None], timestep=self.settings.coarse)
+        residual = self.replay.measured - self.replay.by_rollout(predicted[0])
+        return noise_floor(self.replay.layout, self.replay.measured, residual, self.replay.replicates)
+
+    def go(self) -> Diagnosis:
+        """All stages in order."""
+        coarse, nuisance = self.fit_base()
+        self.progress("screening effects", 0.25)
+        directions = simulate_directions(
+            self.problem, coarse, self.uses, self.sets, self.settings.coarse, self.settings.seed, self._screened()
+        )
+        base = self._refit(coarse, nuisance)
+        if not directions.uses:
+            return self._conclude(base, nuisance, [], Null(np.inf, np.zeros(0), 0), directions, {})
+        screen = Screen(self.problem, coarse, nuisance, directions, self.sets)
+        data = screen.targets(coarse.residual[None])
+        gains = screen.held_out(data)[:, :, 0]
+        chosen = self._choose(directions, gains)
+        fits = self._fit_chosen(chosen, screen, data, coarse, nuisance)
+        self.progress("simulating nothing missing", 0.85)
+        leftover = min([coarse, *[f[0] for f in fits.values()]], key=lambda f: f.total).residual
+        null = simulate_null(
+            self.problem, screen, nuisance, leftover, self.sets, np.random.default_rng(self.settings.seed)
+        )
+        alike = self._alike(screen, data, chosen)
+        evidence = self._evidence(base, nuisance, fits, directions, gains)
+        return self._conclude(base, nuisance, evidence, null, directions, alike)
+
+    def fit_base(self) -> tuple[Fit, Nuisance]:
+        """The base model's parameters from a grid of starts, then again with scatter between joints allowed for."""
+        self.progress("fitting the base model", 0.0)
+        none = Nuisance.none(self.problem)
+        width = len(self.model.parameters)
+        levels = GRID if width <= 4 else (0.3, 0.7)
+        starts = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
+        first = Fitter(self.problem, self.model, none, self.sets, self.settings.coarse).run(
+            starts, steps=(0.12, 0.1, 0.08, 0.06)
+        )
+        self.problem = self.problem.with_autocorrelation(self._full(first.residual))
+        self.progress("fitting the base model", 0.12)
+        nuisance = joint_scatter(self.problem, first, self.settings.coarse)
+        again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
+        return again.run(first.unit[None], steps=(0.06, 0.05, 0.04, 0.04)), nuisance
+
+    def _full(self, residual: np.ndarray) -> np.ndarray:
+        full = np.zeros_like(self.problem.observed)
+        full[self.sets] = residual
+        return full
+
+    def _refit(self, fit: Fit, nuisance: Nuisance) -> Fit:
+        fine = Fitter(self.problem, fit.model, nuisance, self.sets, self.settings.timestep)
+        return fine.run(fit.unit[None], fit.nuisance, steps=(0.03,))
+
+    def _screened(self) -> Callable[[str], None]:
+        count = itertools.count(1)
+        return lambda use: self.progress(f"screening {use}", 0.25 + 0.3 * next(count) / len(self.uses))
+
+    def _choose(self, directions: Directions, gains: np.ndarray) -> list[int]:
+        """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
+        order = np.argsort(-gains.mean(axis=0))
+        chosen: list[int] = []
+        per_effect: dict[str, int] = {}
+        for u in order:
+            name = directions.uses[u].partition(":")[0]
+            if per_effect.get(name, 0) < self.settings.per_effect and len(chosen) < self.settings.refine:
+                chosen.append(int(u))
+                per_effect[name] = per_effect.get(name, 0) + 1
+        return chosen
+
+    def _fit_chosen(
+        self, chosen: Sequence[int], screen: Screen, data, coarse: Fit, nuisance: Nuisance
+    ) -> dict[int, tuple[Fit, Fit]]:
+        fits = {}
+        for i, u in enumerate(chosen):
+            model = screen.directions.models[u]
+            self.progress(f"fitting {screen.directions.uses[u]}", 0.55 + 0.3 * i / len(chosen))
+            fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
+            rough = fitter.run(screen.start(data, u, coarse), coarse.nuisance, steps=(0.08, 0.06, 0.04))
+            fits[u] = rough, self._refit(rough, nuisance)
+        return fits
+
+    def _alike(self, screen: Screen, data, chosen: Sequence[int]) -> dict[str, tuple[str, ...]]:
+        names = screen.directions.uses
+        return {
+            names[a]: tuple(
+                names[b] for b in chosen if b != a and abs(screen.likeness(a, b, data)) > self.settings.likeness
+            )
+            for a in chosen
+        }
+
+    def _evidence(
+        self, base: Fit, nuisance: Nuisance, fits: dict[int, tuple[Fit, Fit]], directions: Directions, gains: np.ndarray
+    ) -> list[Evidence]:
+        before = held_out(self.problem, base, nuisance, self.sets, self.settings.timestep)
+        self.base_held = before
+        error_before = self._unseen_error(base, before)
+        result = []
+        for u, use in enumerate(directions.uses):
+            if u in fits:
+                fit = fits[u][1]
+                held = held_out(self.problem, fit, nuisance, self.sets, self.settings.timestep)
+                error_after = self._unseen_error(fit, held)
+                result.append(self._refined(use, base, fit, held, held.score - before.score, error_before, error_after))
+            else:
+                result.append(_screened_only(use, gains[:, u], error_before))
+        return sorted(result, key=lambda e: (not e.refined, -e.elpd_gain))
+
+    def _refined(
+        self, use: str, base: Fit, fit: Fit, held: HeldOut, gains: np.ndarray, error_before: float, error_after: float
+    ) -> Evidence:
+        low, high, covariance = intervals(fit, held)
+        count = len(base.unit)
+        lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)
+        parameters = tuple(
+            ParameterEstimate(p.name, p.unit, float(fit.parameters[i]), float(lows[i]), float(highs[i]), p.null)
+            for i, p in enumerate(fit.model.parameters)
+        )
+        return Evidence(
+            effect=use.partition(":")[0],
+            use=use,
+            elpd_gain=float(gains.sum()),
+            elpd_se=float(np.sqrt(len(gains)) * np.std(gains, ddof=1)) if len(gains) > 1 else float("nan"),
+            statistic=float(paired_statistic(gains)),
+            error_before=error_before,
+            error_after=error_after,
+            parameters=parameters[count:] if use else parameters,
+            refined=True,
+            converged=fit.converged,
+            gains=tuple(float(g) for g in gains),
+            names=fit.model.names,
+            values=tuple(float(v) for v in fit.parameters),
+            spread=tuple(tuple(float(x) for x in row) for row in covariance),
+        )
+
+    def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
+        """Error over the floor on sealed motions, cross-validated where none are sealed; without joint scatter."""
+        sealed = list(self.split.sealed)
+        if sealed:
+            predicted = self.replay.predict(fit.model, fit.parameters[None], sealed, self.settings.timestep)[0]
+            return self._rollout_error(predicted, sealed)
+        return self._rollout_error(self.problem.observed[self.sets] - held.residual, list(self.sets))
+
+    def _rollout_error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
+        residual = [
+            self.replay.measured[m] - predicted[i]
+            for i, s in enumerate(sets)
+            for m in self.replay.replicates[s].members
+        ]
+        return error_over_floor(self.replay.layout, np.array(residual), self.floor.values)
+
+    def _conclude(
+        self,
+        base: Fit,
+        nuisance: Nuisance,
+        evidence: list[Evidence],
+        null: Null,
+        directions: Directions,
+        alike: dict[str, tuple[str, ...]],
+    ) -> Diagnosis:
+        kinds = len(self.split.folds)
+        before = (
+            held_out(self.problem, base, nuisance, self.sets, self.settings.timestep)
+            if not evidence
+            else self.base_held
+        )
+        base_error = self._rollout_error(self.problem.observed[self.sets] - before.residual, list(self.sets))
+        judged = []
+        for e in evidence:
+            accepted, reason = accept(e, null.threshold)
+            judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, confused_with=alike.get(e.use, ())))
+        ranking = _mark_rivals(judged)
+        ruling = rule(ranking, base_error, 0.0, kinds)
+        base_evidence = self._refined(
+            "", base, base, before, np.zeros(len(before.score)), *([self._unseen_error(base, before)] * 2)
+        )
+        return self._package(ruling, ranking, null, directions, base, base_evidence, kinds)
+
+    def _package(self, ruling, ranking, null, directions, base, base_evidence, kinds) -> Diagnosis:
+        sealed = [self.replay.measurements[m] for s in self.split.sealed for m in self.replay.replicates[s].members]
+        shown = sealed or list(self.replay.measurements)
+        errors = {"unfitted": compare(self.model, shown, particles=0).error_over_floor} if shown else {}
+        errors["base"] = base_evidence.error_before
+        best = ranking[0] if ranking and ranking[0].refined else None
+        if best:
+            errors[best.use] = best.error_after
+        return Diagnosis(
+            model=self.model.version,
+            verdict=ruling.verdict,
+            effects=tuple(dict.fromkeys(u.partition(":")[0] for u in ruling.uses)),
+            uses=ruling.uses,
+            statement=ruling.statement,
+            ranking=tuple(ranking),
+            seconds=time.perf_counter() - self.began,
+            rollouts=tuple(m.rollout_id for m in self.replay.measurements),
+            sealed=tuple(m.rollout_id for m in sealed),
+            threshold=null.threshold,
+            errors=errors,
+            floor_from_replicates=self.floor.from_replicates,
+            untestable=directions.untestable,
+            guards=tuple(guard(self.measurements)),
+            claims=tuple(self._claims(kinds, sealed, null)),
+            base=base_evidence,
+        )
+
+    def _claims(self, kinds: int, sealed: Sequence[Measurement], null: Null) -> list[str]:
+        claims = [f"{kinds} kinds of motion were held out in turn; {len(sealed)} rollouts stayed sealed until the end."]
+        if not sealed:
+            claims.append("Too few kinds of motion to seal any: the errors shown are cross-validated.")
+        if kinds < MIN_KINDS:
+            claims.append(f"With fewer than {MIN_KINDS} kinds of motion no false-alarm rate is claimed.")
+        elif np.isfinite(null.threshold):
+            claims.append(
+                f"In {len(null.maxima)} simulated data sets with nothing missing the whole search exceeded "
+                f"{null.threshold:.1f} standard errors in 5 % of cases."
+            )
+        if not self.floor.from_replicates:
+            claims.append(self.floor.statement)
+        return claims
+
+
+def _screened_only(use: str, gains: np.ndarray, error_before: float) -> Evidence:
+    se = float(np.sqrt(len(gains)) * np.std(gains, ddof=1)) if len(gains) > 1 else float("nan")
+    return Evidence(
+        effect=use.partition(":")[0],
+        use=use,
+        elpd_gain=float(gains.sum()),
+        elpd_se=se,
+        statistic=float(paired_statistic(gains)),
+        error_before=error_before,
+        error_after=float("nan"),
+        parameters=(),
+        refined=False,
+        converged=False,
+        gains=tuple(float(g) for g in gains),
+    )
+
+
+def _mark_rivals(ranking: list[Evidence]) -> list[Evidence]:
+    """Adds to each accepted candidate those that the held-out scores cannot tell from it."""
+    accepted = [e for e in ranking if e.accepted]
+    marked = []
+    for e in ranking:
+        near = {r.use for r in rivals(e, [o for o in accepted if o is not e])} if e.accepted else set()
+        marked.append(dataclasses.replace(e, confused_with=tuple(sorted(near | set(e.confused_with)))))
+    return sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
+
+
+__all__ = ["EFFECT", "Settings", "diagnose"]

@@ -1,0 +1,285 @@
+"""Robust Gauss-Newton in unit space: every trial vector of a step is one batch of simulations.
+
+Where a foot may stick or slip, a prediction hardly depends smoothly on the parameters. So slopes are central
+differences over a wide step, and a sample whose prediction departs from a straight line there counts less in the step.
+Scatter between joints of the same make is real but is no missing effect: it enters as linear nuisances with a prior.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_sim.model import Model
+
+STEPS = (0.12, 0.1, 0.08, 0.06, 0.04, 0.04)  # of a parameter's range, one for each iteration
+STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
+SMALL_STEP = 0.02  # of a range: the last step of a converged fit
+SMALL_GAIN = 0.5  # nats
+
+
+@dataclasses.dataclass(frozen=True)
+class Nuisance:
+    """Deviations that every robot has and no verdict should name, linear, with unit prior variance.
+
+    Attributes:
+      effect: (S, T, C, Q) change of the prediction for one prior standard deviation of each.
+      names: (Q).
+    """
+
+    effect: np.ndarray
+    names: tuple[str, ...]
+
+    @staticmethod
+    def none(problem: Problem) -> "Nuisance":
+        """No nuisances."""
+        return Nuisance(np.zeros((*problem.observed.shape, 0)), ())
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """A model's parameters that explain the open sets best.
+
+    Attributes:
+      unit: (P,) parameters in [0, 1].
+      nuisance: (Q,) in prior standard deviations.
+      residual: (S, T, C) of all sets that were simulated (zero elsewhere), nuisances taken out.
+      loss: (S,) of each set.
+      scale: (G,).
+      normal: (S, P + Q, P + Q) and `slope` (S, P + Q): the quadratic around the optimum, set by set.
+      jacobian: (S, T, C, P) slopes of the prediction; `bend` (S, T, C) its departure from them within a step.
+      converged: the last step was small, or gained nothing.
+    """
+
+    model: Model
+    unit: np.ndarray
+    nuisance: np.ndarray
+    predicted: np.ndarray
+    residual: np.ndarray
+    loss: np.ndarray
+    scale: np.ndarray
+    normal: np.ndarray
+    slope: np.ndarray
+    jacobian: np.ndarray
+    bend: np.ndarray
+    converged: bool
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """(P,) in physical units."""
+        return to_physical(self.model, self.unit)
+
+    @property
+    def total(self) -> float:
+        """Loss of the open sets and of the nuisances' prior."""
+        return float(self.loss.sum() + 0.5 * self.nuisance @ self.nuisance)
+
+
+def to_physical(model: Model, unit: np.ndarray) -> np.ndarray:
+    """(..., P) unit -> physical."""
+    return np.stack([p.from_unit(unit[..., i]) for i, p in enumerate(model.parameters)], axis=-1)
+
+
+def to_unit(model: Model, values: np.ndarray) -> np.ndarray:
+    """(..., P) physical -> unit, clipped to [0, 1]."""
+    columns = [p.to_unit(values[..., i]) for i, p in enumerate(model.parameters)]
+    return np.clip(np.stack(columns, axis=-1), 0.0, 1.0)
+
+
+class Fitter:
+    """Fits models of one structure to the open sets of a problem."""
+
+    def __init__(self, problem: Problem, model: Model, nuisance: Nuisance, sets: np.ndarray, timestep: float) -> None:
+        self.problem, self.model, self.nuisance, self.timestep = problem, model, nuisance, timestep
+        self.sets = np.asarray(sets, int)
+        self.simulated = 0
+
+    def predict(self, unit: np.ndarray) -> np.ndarray:
+        """(N, P) unit vectors -> (N, open sets, T, C)."""
+        unit = np.atleast_2d(unit)
+        self.simulated += len(unit) * len(self.sets)
+        return self.problem.replay.predict(self.model, to_physical(self.model, unit), list(self.sets), self.timestep)
+
+    def residual(self, predicted: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+        """(..., open sets, T, C) with the nuisances taken out."""
+        return self.problem.residual(predicted + self.nuisance.effect[self.sets] @ nuisance, self.sets)
+
+    def scales(self, residual: np.ndarray) -> np.ndarray:
+        """(G,) scales of a residual of the open sets."""
+        full = np.zeros_like(self.problem.observed)
+        full[self.sets] = residual
+        return self.problem.scales(np.nan_to_num(full), self.sets)
+
+    def best_start(self, starts: np.ndarray, nuisance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The best of (N, P) starting points by the scale-free loss, and its prediction (open sets, T, C)."""
+        predicted = self.predict(starts)
+        totals = []
+        for each in predicted:
+            residual = self.residual(each, nuisance)
+            if not np.isfinite(residual).all():
+                totals.append(np.inf)
+                continue
+            totals.append(float(self.problem.loss(residual, self.scales(residual), self.sets).sum()))
+        best = int(np.argmin(totals))
+        return np.asarray(starts[best], float), predicted[best]
+
+    def run(
+        self,
+        starts: np.ndarray,
+        nuisance: np.ndarray | None = None,
+        steps: Sequence[float] = STEPS,
+    ) -> Fit:
+        """Fits from the best of (N, P) starting points, until it converges or the steps are used up."""
+        delta = np.zeros(self.nuisance.effect.shape[-1]) if nuisance is None else nuisance.copy()
+        unit, predicted = self.best_start(np.atleast_2d(starts), delta)
+        residual = self.residual(predicted, delta)
+        scale = self.scales(residual)
+        converged = False
+        jacobian, bend = np.zeros((*residual.shape, len(unit))), np.zeros_like(residual)
+        for step in steps:
+            jacobian, bend = self.slopes(unit, predicted, step)
+            before = self._total(residual, delta, scale)
+            move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
+            trials = np.clip(unit + np.array(STRETCH)[:, None] * move, 0.0, 1.0)
+            trial_predicted = self.predict(trials)
+            best, best_total = -1, before
+            for i, share in enumerate(STRETCH):
+                trial_residual = self.residual(trial_predicted[i], delta + share * move_delta)
+                total = self._total(trial_residual, delta + share * move_delta, scale)
+                if total < best_total:
+                    best, best_total = i, total
+            if best >= 0:
+                delta = delta + STRETCH[best] * move_delta
+                moved = float(np.max(np.abs(trials[best] - unit)))
+                unit, predicted = trials[best], trial_predicted[best]
+                residual = self.residual(predicted, delta)
+                scale = self.scales(residual)
+            gain = before - best_total
+            converged = best < 0 or moved < SMALL_STEP or gain < SMALL_GAIN
+            if converged and step == min(steps):
+                break
+        return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
+
+    def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
+        return float(self.problem.loss(residual, scale, self.sets).sum() + 0.5 * delta @ delta)
+
+    def slopes(self, unit: np.ndarray, predicted: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes of the prediction over a wide step, and how far it departs from them.
+
+        Returns:
+          (open sets, T, C, P) slopes; (open sets, T, C) root mean square departure from the straight line.
+        """
+        moves = probe(unit, step)
+        change = self.predict(unit + moves) - predicted
+        alive = np.isfinite(change).all(axis=(1, 2, 3))
+        moves, change = moves[alive], change[alive]
+        slopes = np.einsum("pn,nstc->stcp", np.linalg.pinv(moves), change)
+        departure = change - np.einsum("np,stcp->nstc", moves, slopes)
+        freedom = max(len(moves) - len(unit), 1)
+        return slopes, np.sqrt((departure**2).sum(axis=0) / freedom)
+
+    def precision(self, residual: np.ndarray, scale: np.ndarray, bend: np.ndarray) -> np.ndarray:
+        """(open sets, T, C) weight of each squared residual in a Gauss-Newton step."""
+        full = np.zeros_like(self.problem.observed)
+        full[self.sets] = residual
+        sigma = self.problem.floor * scale[self.problem.group]
+        return self.problem.precision(full, scale)[self.sets] / (1.0 + (bend / sigma) ** 2)
+
+    def _quadratic(
+        self, residual: np.ndarray, scale: np.ndarray, jacobian: np.ndarray, bend: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(open sets, K, K) normal matrices and (open sets, K) slopes of parameters and nuisances."""
+        design = np.concatenate([jacobian, self.nuisance.effect[self.sets]], axis=-1)
+        return gram(design, residual, self.precision(residual, scale, bend))
+
+    def _direction(
+        self,
+        unit: np.ndarray,
+        residual: np.ndarray,
+        delta: np.ndarray,
+        scale: np.ndarray,
+        jacobian: np.ndarray,
+        bend: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        normal, slope = self._quadratic(residual, scale, jacobian, bend)
+        step = bounded_step(normal.sum(axis=0), slope.sum(axis=0), unit, delta)
+        return step[: len(unit)], step[len(unit) :]
+
+    def _finish(
+        self,
+        unit: np.ndarray,
+        delta: np.ndarray,
+        predicted: np.ndarray,
+        residual: np.ndarray,
+        scale: np.ndarray,
+        jacobian: np.ndarray,
+        bend: np.ndarray,
+        converged: bool,
+    ) -> Fit:
+        normal, slope = self._quadratic(residual, scale, jacobian, bend)
+        loss = self.problem.loss(residual, scale, self.sets)
+        return Fit(self.model, unit, delta, predicted, residual, loss, scale, normal, slope, jacobian, bend, converged)
+
+
+def probe(unit: np.ndarray, step: float) -> np.ndarray:
+    """(2 P, P) moves along each axis, both ways; near a bound, one and two steps inwards."""
+    moves = []
+    for p, value in enumerate(unit):
+        sizes = (step, -step)
+        if value + step > 1.0:
+            sizes = (-step, -2 * step)
+        elif value - step < 0.0:
+            sizes = (step, 2 * step)
+        moves += [size * np.eye(len(unit))[p] for size in sizes]
+    return np.array(moves)
+
+
+def gram(design: np.ndarray, target: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations set by set.
+
+    Args:
+      design: (S, T, C, K).
+      target: (S, T, C).
+      precision: (S, T, C).
+
+    Returns:
+      (S, K, K) and (S, K).
+    """
+    count, width = len(design), design.shape[-1]
+    flat = design.reshape(count, -1, width)
+    weighted = flat * precision.reshape(count, -1, 1)
+    normal = np.matmul(weighted.transpose(0, 2, 1), flat)
+    slope = np.einsum("snk,sn->sk", weighted, target.reshape(count, -1))
+    return normal, slope
+
+
+def bounded_step(normal: np.ndarray, slope: np.ndarray, unit: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    """The Gauss-Newton step of parameters in [0, 1] and of nuisances with unit prior.
+
+    Args:
+      normal: (K, K) without the prior.
+      slope: (K,) without the prior.
+      unit: (P,) present parameters.
+      delta: (K - P,) present nuisances.
+
+    Returns:
+      (K,) step; a parameter that would leave its range stops at its bound while the others are solved again.
+    """
+    count = len(unit)
+    matrix = normal + np.diag(np.r_[np.full(count, 1e-3), np.ones(len(delta))])
+    right = slope - np.r_[np.zeros(count), delta]
+    step = np.zeros(len(slope))
+    fixed = np.zeros(len(slope), bool)
+    for _ in range(count + 1):
+        free = ~fixed
+        step[free] = np.linalg.solve(
+            matrix[np.ix_(free, free)], right[free] - matrix[np.ix_(free, fixed)] @ step[fixed]
+        )
+        wanted = unit + step[:count]
+        outside = ((wanted < -1e-9) | (wanted > 1 + 1e-9)) & free[:count]
+        if not outside.any():
+            break
+        step[:count][outside] = np.clip(wanted[outside], 0.0, 1.0) - unit[outside]
+        fixed[:count] |= outside
+    return step

@@ -1,0 +1,93 @@
+"""The threshold: what the search finds, at most, in data sets in which nothing is missing.
+
+A null data set is made of the recording's own noise (differences between replicates, with random signs and shifts in
+time), of scatter between joints, and of the discrepancy that the best candidate leaves, with a random sign for each
+kind of motion: as large and as smooth as the real one, but without a cause that all motions share. The whole one-step
+search is run on each.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from tcbi_infer.diagnose.fit import Nuisance
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.screen import Screen, paired_statistic
+
+DRAWS = 300
+LEVEL = 0.95
+DISCREPANCY_SHARE = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Null:
+    """What searching finds where nothing is missing.
+
+    Attributes:
+      threshold: 95 % point of the largest statistic over all candidates.
+      maxima: (D,) the largest statistic of each null data set.
+      false_alarm: share of null data sets above the threshold, by construction about 5 %.
+    """
+
+    threshold: float
+    maxima: np.ndarray
+    kinds: int
+
+
+def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
+    """(D, S, T, C) noise of the sets' means, resampled from differences between replicates where there are any."""
+    replay = problem.replay
+    library = []
+    for s in sets:
+        members = list(replay.replicates[s].members)
+        if len(members) > 1:
+            values = replay.measured[members]
+            # one replicate against the mean, scaled to the variance of the mean
+            library.append(np.nan_to_num(values[0] - values.mean(axis=0)) / np.sqrt(len(members) - 1))
+    shape = (draws, len(sets), *problem.observed.shape[1:])
+    if not library:
+        return rng.normal(size=shape) * problem.floor * (problem.weight[sets] > 0)
+    pool = np.array(library)
+    picked = rng.integers(len(pool), size=shape[:2])
+    shifts = rng.integers(shape[2], size=shape[:2])
+    signs = rng.choice([-1.0, 1.0], size=shape[:2])
+    noise = np.empty(shape)
+    for d in range(draws):
+        for s in range(len(sets)):
+            noise[d, s] = signs[d, s] * np.roll(pool[picked[d, s]], shifts[d, s], axis=0)
+    return noise * (problem.weight[sets] > 0)
+
+
+def simulate_null(
+    problem: Problem,
+    screen: Screen,
+    nuisance: Nuisance,
+    leftover: np.ndarray,
+    sets: np.ndarray,
+    rng: np.random.Generator,
+    draws: int = DRAWS,
+) -> Null:
+    """Runs the one-step search on data sets with nothing missing.
+
+    Args:
+      problem: the data.
+      screen: the search.
+      nuisance: scatter between joints.
+      leftover: (open sets, T, C) residual of the best candidate.
+      sets: the open sets.
+      rng: of the draws.
+      draws: number of null data sets.
+    """
+    kinds = problem.kind[sets]
+    maxima: list[float] = []
+    for block in np.array_split(np.arange(draws), max(1, draws // 50)):
+        count = len(block)
+        data = noise_draws(problem, sets, count, rng)
+        scatter = rng.normal(size=(count, nuisance.effect.shape[-1]))
+        data += np.einsum("stcq,dq->dstc", nuisance.effect[sets], scatter, optimize=True)
+        signs = rng.choice([-1.0, 1.0], size=(count, int(kinds.max()) + 1))[:, kinds]
+        data += signs[:, :, None, None] * leftover * DISCREPANCY_SHARE
+        gains = screen.held_out(screen.targets(data))
+        maxima.extend(paired_statistic(gains).max(axis=0))
+    values = np.array(maxima)
+    return Null(float(np.quantile(values, LEVEL)), values, len(screen.folds))

@@ -1,0 +1,276 @@
+"""Screening: every use of every effect, simulated at a few sizes around the fitted base model; then linear algebra.
+
+For each size the change of the prediction is a direction. The base parameters and the nuisances are profiled out of the
+residual along it. All that cross-validation and the null simulations need are inner products, set by set, so that
+hundreds of simulated null data sets cost no further simulation.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_physical
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_sim.model import Model
+
+SIZES = (0.1, 0.35)  # of the range on one side of the null value
+ONE_SIZE = 0.2  # where one effect has many places
+MOST_STRETCH = 1.6  # of a direction beyond the simulated size
+INFLUENCE = 0.15  # of the noise floor: less than this at every size is no influence
+
+
+@dataclasses.dataclass(frozen=True)
+class Directions:
+    """Simulated changes of the prediction by candidate effects.
+
+    Attributes:
+      use: (K,) which use each direction belongs to, as an index into `uses`.
+      unit: K vectors of the effect's own parameters in [0, 1].
+      change: (K, S, T, C) of the open sets.
+      least, most: (K,) multiples between which the effect stays inside its range.
+    """
+
+    uses: tuple[str, ...]
+    models: tuple[Model, ...]
+    use: np.ndarray
+    unit: tuple[np.ndarray, ...]
+    change: np.ndarray
+    least: np.ndarray
+    most: np.ndarray
+    untestable: tuple[str, ...]
+
+
+def effect_points(model: Model, base_count: int, many: bool, rng: np.random.Generator) -> np.ndarray:
+    """(n, q) unit vectors of an effect's own parameters at which to look, around its null values.
+
+    Axis points at two sizes, and for effects of several parameters a few random combinations; a single point for an
+    effect with one parameter and many places, where the straight line through it has to do.
+    """
+    own = model.parameters[base_count:]
+    nominal = np.array([float(p.to_unit(p.nominal)) for p in own])
+    null = np.array([float(p.to_unit(p.null)) if p.null is not None else np.nan for p in own])
+    sized = np.nonzero(np.isfinite(null))[0]
+    rest = np.where(np.isfinite(null), null, nominal)
+    points = []
+    if many and len(own) == 1 and len(sized):
+        up = 1 - null[0] >= null[0]
+        return np.array([[null[0] + ONE_SIZE * (1 - null[0] if up else -null[0])]])
+    for i in sized:
+        for sign, room in ((1, 1 - null[i]), (-1, null[i])):
+            if room < 0.05:
+                continue
+            for size in SIZES:
+                point = rest.copy()
+                point[i] = null[i] + sign * size * room
+                points.append(point)
+    extra = 0 if len(own) == 1 else 4 * (len(own) - 1)
+    for _ in range(extra):
+        point = rng.random(len(own))
+        size = rng.choice(SIZES)
+        point[sized] = null[sized] + (point[sized] - null[sized]) * size
+        points.append(point)
+    return np.array(points)
+
+
+def simulate_directions(
+    problem: Problem,
+    base: Fit,
+    uses: Sequence[str],
+    sets: np.ndarray,
+    timestep: float,
+    seed: int,
+    progress: Callable[[str], None] | None = None,
+) -> Directions:
+    """Simulates every use at a few sizes, base parameters at the base fit."""
+    rng = np.random.default_rng(seed)
+    reference = problem.replay.predict(base.model, base.parameters[None], list(sets), timestep)[0]
+    names = [use.partition(":")[0] for use in uses]
+    owner, units, changes, bounds, models, untestable, kept = [], [], [], [], [], [], []
+    for use, name in zip(uses, names, strict=True):
+        model = base.model.with_effect(use)
+        points = effect_points(model, len(base.unit), names.count(name) > 1, rng)
+        vectors = np.concatenate([np.repeat(base.unit[None], len(points), axis=0), points], axis=1)
+        predicted = problem.replay.predict(model, to_physical(model, vectors), list(sets), timestep)
+        change = np.where(problem.weight[list(sets)] > 0, predicted - reference, 0.0)
+        alive = np.isfinite(change).all(axis=(1, 2, 3))
+        if progress:
+            progress(use)
+        if _influence(problem, change[alive], sets) < INFLUENCE:
+            untestable.append(use)
+            continue
+        kept.append(use)
+        models.append(model)
+        for k in np.nonzero(alive)[0]:
+            owner.append(len(kept) - 1)
+            units.append(points[k])
+            changes.append(change[k])
+            bounds.append(_room(model, len(base.unit), points[k], len(points) == 1))
+    least, most = np.array(bounds).reshape(-1, 2).T
+    change = np.array(changes) if changes else np.empty((0, *reference.shape))
+    return Directions(
+        tuple(kept), tuple(models), np.array(owner, int), tuple(units), change, least, most, tuple(untestable)
+    )
+
+
+def _influence(problem: Problem, change: np.ndarray, sets: np.ndarray) -> float:
+    """The largest root mean square change of any channel, over its noise floor."""
+    if not len(change):
+        return 0.0
+    weight = problem.weight[list(sets)]
+    count = np.maximum(weight.sum(axis=(0, 1)), 1)
+    squares = ((change / problem.floor) ** 2 * weight).sum(axis=(1, 2)) / count
+    return float(np.sqrt(squares.max()))
+
+
+def _room(model: Model, base_count: int, point: np.ndarray, both_ways: bool) -> tuple[float, float]:
+    """Multiples of `point`, seen from the null, between which the effect stays inside its ranges."""
+    least, most = (-np.inf if both_ways else 0.0), MOST_STRETCH if not both_ways else np.inf
+    for p, value in zip(model.parameters[base_count:], point, strict=True):
+        if p.null is None:
+            continue
+        null = float(p.to_unit(p.null))
+        forward, backward = (1.0 - null, null) if value > null else (null, 1.0 - null)
+        size = abs(value - null)
+        if size > 1e-9:
+            most, least = min(most, forward / size), max(least, -backward / size)
+    return float(least), float(most)
+
+
+@dataclasses.dataclass(frozen=True)
+class Moments:
+    """Inner products, set by set, of nuisance directions (n: base parameters and scatter) and effect directions (k)."""
+
+    nn: np.ndarray  # (S, n, n)
+    nk: np.ndarray  # (S, n, K)
+    kk: np.ndarray  # (S, K) of each direction with itself
+    prior: np.ndarray  # (n,) precision
+
+
+@dataclasses.dataclass(frozen=True)
+class Targets:
+    """Inner products, set by set, of D data sets with the directions."""
+
+    nr: np.ndarray  # (S, n, D)
+    kr: np.ndarray  # (S, K, D)
+
+
+class Screen:
+    """One-step, cross-validated score of every direction, for the data and for simulated null data."""
+
+    def __init__(
+        self, problem: Problem, base: Fit, nuisance: Nuisance, directions: Directions, sets: np.ndarray
+    ) -> None:
+        self.sets = np.asarray(sets, int)
+        self.directions = directions
+        count = len(self.sets)
+        fitter = Fitter(problem, base.model, nuisance, sets, timestep=0.0)
+        self.precision = fitter.precision(base.residual, base.scale, base.bend).reshape(count, -1)
+        design = np.concatenate([base.jacobian, nuisance.effect[self.sets]], axis=-1)
+        self.design = design.reshape(count, -1, design.shape[-1])
+        self.change = directions.change.reshape(len(directions.change), count, -1)
+        self.base_count = len(base.unit)
+        prior = np.r_[np.full(self.base_count, 1e-3), np.ones(nuisance.effect.shape[-1])]
+        weighted = self.design * self.precision[..., None]
+        self.moments = Moments(
+            np.einsum("sin,sim->snm", weighted, self.design, optimize=True),
+            np.einsum("sin,ksi->snk", weighted, self.change, optimize=True),
+            np.einsum("ksi,si->sk", self.change**2, self.precision, optimize=True),
+            prior,
+        )
+        kinds = problem.kind[self.sets]
+        self.folds = [np.nonzero(kinds == k)[0] for k in dict.fromkeys(kinds)]
+
+    def targets(self, residuals: np.ndarray) -> Targets:
+        """Inner products of (D, S, T, C) residuals with all directions."""
+        flat = residuals.reshape(len(residuals), len(self.sets), -1) * self.precision
+        return Targets(
+            np.einsum("sin,dsi->snd", self.design, flat, optimize=True),
+            np.einsum("ksi,dsi->skd", self.change, flat, optimize=True),
+        )
+
+    def solve(self, targets: Targets, train: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Least squares on some sets, along each direction.
+
+        Returns:
+          alpha (K, D) the size in [least, most]; gain (K, D) of the training score; base (n, D) the nuisances without
+          any effect; slope (n, K) by which a unit of each effect shifts them.
+        """
+        m = self.moments
+        inverse = np.linalg.inv(m.nn[train].sum(axis=0) + np.diag(m.prior))
+        nk, kk = m.nk[train].sum(axis=0), m.kk[train].sum(axis=0)
+        nr, kr = targets.nr[train].sum(axis=0), targets.kr[train].sum(axis=0)
+        slope = inverse @ nk
+        curvature = np.maximum(kk - np.einsum("nk,nk->k", nk, slope), 1e-9 * kk + 1e-12)[:, None]
+        pull = kr - slope.T @ nr
+        alpha = np.clip(pull / curvature, self.directions.least[:, None], self.directions.most[:, None])
+        return alpha, alpha * pull - 0.5 * alpha**2 * curvature, inverse @ nr, slope
+
+    def held_out(self, targets: Targets) -> np.ndarray:
+        """(F, U, D) gain in nats of each use on each fold, fitted to the other folds only.
+
+        Within a use the best direction is chosen on the training folds, as a fit would.
+        """
+        m, uses = self.moments, len(self.directions.uses)
+        gains = np.zeros((len(self.folds), uses, targets.nr.shape[-1]))
+        everything = np.arange(len(self.sets))
+        for f, fold in enumerate(self.folds):
+            train = np.setdiff1d(everything, fold)
+            alpha, score, base, slope = self.solve(targets, train)
+            nn, nk, kk = m.nn[fold].sum(axis=0), m.nk[fold].sum(axis=0), m.kk[fold].sum(axis=0)
+            nr, kr = targets.nr[fold].sum(axis=0), targets.kr[fold].sum(axis=0)
+            # the step is base - slope * alpha for the nuisances, alpha for the effect
+            linear = kr - slope.T @ nr
+            cross = nk.T @ base - slope.T @ (nn @ base)
+            own = kk - 2 * np.einsum("nk,nk->k", nk, slope) + np.einsum("nk,nk->k", slope, nn @ slope)
+            gain = alpha * (linear - cross) - 0.5 * alpha**2 * own[:, None]
+            for u in range(uses):
+                mine = np.nonzero(self.directions.use == u)[0]
+                best = mine[np.argmax(score[mine], axis=0)]
+                gains[f, u] = gain[best, np.arange(gain.shape[1])]
+        return gains
+
+    def start(self, targets: Targets, use: int, base: Fit, count: int = 3) -> np.ndarray:
+        """(count, P + q) starts for a full fit of a use: its best directions, linear steps of the base included."""
+        alpha, score, nuisances, slope = self.solve(targets, np.arange(len(self.sets)))
+        mine = np.nonzero(self.directions.use == use)[0]
+        best = mine[np.argsort(-score[mine, 0])][:count]
+        starts = []
+        for k in best:
+            shift = (nuisances[:, 0] - slope[:, k] * alpha[k, 0])[: self.base_count]
+            unit = np.clip(base.unit + np.clip(shift, -0.3, 0.3), 0.02, 0.98)
+            size = float(alpha[k, 0])
+            own = self._sized(use, self.directions.unit[k], np.copysign(max(abs(size), 0.2), size))
+            starts.append(np.concatenate([unit, own]))
+        return np.array(starts)
+
+    def _sized(self, use: int, point: np.ndarray, alpha: float) -> np.ndarray:
+        model = self.directions.models[use]
+        own = model.parameters[self.base_count :]
+        null = np.array(
+            [float(p.to_unit(p.null)) if p.null is not None else v for p, v in zip(own, point, strict=True)]
+        )
+        return np.clip(null + alpha * (point - null), 0.0, 1.0)
+
+    def likeness(self, a: int, b: int, targets: Targets) -> float:
+        """Cosine between the best directions of two uses, base parameters and nuisances profiled out."""
+        score = self.solve(targets, np.arange(len(self.sets)))[1][:, 0]
+        ks = [max(np.nonzero(self.directions.use == u)[0], key=lambda k: score[k]) for u in (a, b)]
+        m = self.moments
+        inverse = np.linalg.inv(m.nn.sum(axis=0) + np.diag(m.prior))
+        nk = m.nk.sum(axis=0)[:, ks]
+        both = np.einsum("asi,bsi,si->ab", self.change[ks], self.change[ks], self.precision, optimize=True)
+        profiled = both - nk.T @ inverse @ nk
+        return float(profiled[0, 1] / np.sqrt(max(profiled[0, 0] * profiled[1, 1], 1e-12)))
+
+
+def paired_statistic(gains: np.ndarray, least_se: float = 0.3) -> np.ndarray:
+    """Mean held-out gain over its standard error between kinds of motion.
+
+    Args:
+      gains: (F, ...) nats.
+      least_se: nats, added in quadrature, so that tiny gains that agree by chance do not count.
+    """
+    count = len(gains)
+    se = np.std(gains, axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(gains.shape[1:], np.inf)
+    return gains.mean(axis=0) / np.sqrt(se**2 + least_se**2)

@@ -1,0 +1,117 @@
+"""From evidence to a verdict: what is required of an effect before it is named, and how the verdict is worded."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from tcbi_infer.compare.replicates import MIN_KINDS
+from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Evidence
+
+USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
+WELL_PREDICTED = 1.6  # times the noise floor: a model this good leaves no room for "something else is missing"
+EXPLAINED = 0.4  # of the excess error: an effect that explains less leaves "something else is missing" open
+
+
+@dataclasses.dataclass(frozen=True)
+class Ruling:
+    """A verdict and its wording."""
+
+    verdict: str
+    uses: tuple[str, ...]
+    statement: str
+
+
+def accept(evidence: Evidence, threshold: float) -> tuple[bool, str]:
+    """Whether a candidate passes every requirement, and if not, which it failed."""
+    if not evidence.refined:
+        return False, "its screening score was too low for a full fit"
+    if not evidence.statistic > threshold:
+        return (
+            False,
+            f"its held-out gain is {evidence.statistic:.1f} standard errors, the search alone reaches {threshold:.1f}",
+        )
+    if not evidence.error_after < (1 - USEFUL) * evidence.error_before:
+        return False, "it hardly lowers the error"
+    sized = [p for p in evidence.parameters if p.null is not None]
+    if sized and not any(p.excludes_null for p in sized):
+        return False, "its size may be zero"
+    if not evidence.converged:
+        return False, "its fit did not converge"
+    return True, ""
+
+
+def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
+    """Accepted candidates that a paired test over kinds of motion cannot tell from the best one."""
+    result = []
+    for other in others:
+        difference = np.array(best.gains) - np.array(other.gains)
+        count = len(difference)
+        if count < 2:
+            result.append(other)
+            continue
+        se = float(np.std(difference, ddof=1) / np.sqrt(count))
+        if difference.mean() < float(stats.t.ppf(0.95, count - 1)) * se:
+            result.append(other)
+    return result
+
+
+def rule(ranking: Sequence[Evidence], base_error: float, unexplained_limit: float, kinds: int) -> Ruling:
+    """The verdict.
+
+    Args:
+      ranking: candidates, best first, acceptance decided.
+      base_error: held-out error over the floor of the refitted base model.
+      unexplained_limit: error over the floor that "nothing missing" explains in 95 % of its simulations.
+      kinds: of motion.
+    """
+    accepted = [e for e in ranking if e.accepted]
+    limit = max(unexplained_limit, WELL_PREDICTED)
+    if not accepted:
+        return _none_accepted(ranking, base_error, limit, kinds)
+    best = accepted[0]
+    left = best.error_after
+    explained = (base_error - left) / max(base_error - 1.0, 1e-6)
+    if left > limit and explained < EXPLAINED:
+        return Ruling(
+            OUTSIDE_LIBRARY,
+            (),
+            "Something is missing that the library does not hold: the base model errs by "
+            f"{base_error:.1f} times the noise floor, and the best candidate ({best.use}) explains only {100 * max(explained, 0):.0f} % of the excess.",
+        )
+    equal = rivals(best, accepted[1:])
+    caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
+    if equal:
+        names = " or ".join([best.use, *(e.use for e in equal)])
+        return Ruling(
+            CANNOT_TELL,
+            (best.use, *(e.use for e in equal)),
+            f"Something is missing, but these rollouts cannot tell which: {names}.{caveat}",
+        )
+    still = f" The remaining error is {left:.1f} times the floor." if left > limit else ""
+    return Ruling(
+        EFFECT,
+        (best.use,),
+        f"The model lacks {best.use}: with it the error on motions not used for the fit falls from "
+        f"{best.error_before:.1f} to {left:.1f} times the noise floor.{still}{caveat}",
+    )
+
+
+def _none_accepted(ranking: Sequence[Evidence], base_error: float, limit: float, kinds: int) -> Ruling:
+    best = ranking[0] if ranking else None
+    hint = f" The best candidate was {best.use}: {best.reason}." if best else ""
+    if base_error > limit:
+        return Ruling(
+            OUTSIDE_LIBRARY,
+            (),
+            f"The refitted model errs by {base_error:.1f} times the noise floor, and no effect of the library explains it."
+            f"{hint}",
+        )
+    few = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion small effects cannot be seen."
+    return Ruling(
+        NOTHING_MISSING,
+        (),
+        "These rollouts show nothing missing: with its parameters refitted the model errs by "
+        f"{base_error:.1f} times the noise floor.{hint}{few}",
+    )
