@@ -1,0 +1,75 @@
+"""The demo's robot: an emulated one behind a serial port, driven and recorded by the same nodes as a real one."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from tcbi_bringup.domain_lock import DOMAINS, hold_domain
+from tcbi_bringup.demo.lab_node import LabNode, laboratory
+from tcbi_bringup.errors import DemoError, SecondGraphError
+from tcbi_bringup.launcher import Graph, NodeProcess
+
+FIRST_POLICY = "balance"
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Which robot: its number, and what is hidden in it.
+
+    Attributes:
+      seed: number of the robot; its plain parameters follow from it.
+      hidden: the hidden effect, "none", or "" to draw it from the seed.
+      strength: "strong" or "weak".
+    """
+
+    seed: int
+    hidden: str = ""
+    strength: str = "strong"
+
+    def arguments(self) -> tuple[str, ...]:
+        """Of the program `emulated_robot`."""
+        chosen = ("--hidden", self.hidden) if self.hidden else ()
+        return ("--seed", str(self.seed), "--strength", self.strength, *chosen)
+
+
+def processes(robot: Robot, folder: Path, store: Path) -> list[NodeProcess]:
+    """The nodes of the demo: what a real robot would run, and the emulated robot behind the port."""
+    port, socket = folder / "robot.port", folder / "lab.sock"
+    emulated = ("--link-path", str(port), "--socket", str(socket), *robot.arguments())
+    return [
+        NodeProcess("tcbi_bringup", "emulated_robot", arguments=emulated, ros=False, essential=True),
+        NodeProcess("hexapod_driver", "driver_node", parameters={"port": str(port)}, essential=True),
+        NodeProcess("tcbi_bringup", "experimenter_node", parameters={"socket": str(socket), "seed": robot.seed}),
+        NodeProcess("tcbi_policy", "policy_node", parameters={"policy": "gait:stand", "store": str(store)}),
+        NodeProcess("tcbi_infer", "recorder_node", parameters={"folder": str(folder / "rollouts")}),
+        NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(store)}),
+    ]
+
+
+@contextlib.contextmanager
+def running(robot: Robot, folder: Path, store: Path) -> Iterator[tuple[LabNode, Graph]]:
+    """The graph in a ROS domain of its own, ready to record; stopped cleanly at the end.
+
+    Raises:
+      LaunchError: a process failed, with the last lines of its log.
+    """
+    with _free_domain() as domain_id, contextlib.ExitStack() as stack:
+        graph = Graph(processes(robot, folder, store), domain_id=domain_id, log_dir=folder / "log", restart=True)
+        stack.enter_context(graph)
+        lab = stack.enter_context(laboratory(domain_id))
+        lab.wait(graph.check)
+        yield lab, graph
+
+
+@contextlib.contextmanager
+def _free_domain() -> Iterator[int]:
+    for domain_id in DOMAINS[100:]:
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(hold_domain(domain_id))
+            except SecondGraphError:
+                continue
+            yield domain_id
+            return
+    raise DemoError(f"no ROS domain from {DOMAINS[100]} to {DOMAINS[-1]} is free; stop some graphs")

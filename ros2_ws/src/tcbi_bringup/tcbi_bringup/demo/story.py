@@ -1,0 +1,240 @@
+"""The story that the demo tells: record, compare, locate, diagnose, add, infer, retrain, swap, measure again.
+
+Every figure is measured on the spot. What is hidden in the robot is looked at once, at the very end, to be named.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tcbi_bringup.commands import console
+from tcbi_bringup.demo.lab_node import LabNode
+from tcbi_bringup.demo.narration import Narration
+from tcbi_bringup.demo.plan import Plan
+from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
+from tcbi_infer.bags.reader import read_measurements
+from tcbi_infer.compare.comparison import Comparison, compare
+from tcbi_infer.diagnose.adding import adopted
+from tcbi_infer.diagnose.diagnosis import diagnose
+from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
+from tcbi_infer.posterior import updated
+from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.result import Result
+from tcbi_policy.reward import episode_reward, inclination
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model
+from tcbi_sim.store import ModelStore
+
+TASK = "balance"
+MOST_EFFECTS = 2  # added one after another
+SLOPE = 0.12  # rad, of the ground under the recorded motions
+
+
+@dataclass
+class Outcome:
+    """Everything the story found, for the table, the JSON and the report."""
+
+    robot: Robot
+    plan: Plan
+    store: ModelStore
+    narration: Narration = field(default_factory=Narration)
+    motions: list[Measurement] = field(default_factory=list)
+    unseen: list[Measurement] = field(default_factory=list)
+    before: list[Measurement] = field(default_factory=list)  # the task with the first policy
+    after: list[Measurement] = field(default_factory=list)  # with the last one
+    comparison: Comparison | None = None
+    diagnoses: list[Diagnosis] = field(default_factory=list)
+    inference: Result | None = None
+    models: list[Model] = field(default_factory=list)
+    errors: dict[str, Comparison] = field(default_factory=dict)  # model version -> on the unseen motions
+    retraining: Any = None
+
+    @property
+    def verdict(self) -> str:
+        """Of the first diagnosis: what was missing in the model that the user came with."""
+        return self.diagnoses[0].verdict if self.diagnoses else ""
+
+    @property
+    def effects(self) -> list[str]:
+        """All effects that were added."""
+        return list(self.models[-1].effects) if self.models else []
+
+
+class Story:
+    """One telling; each method is a step."""
+
+    def __init__(self, robot: Robot, plan: Plan, folder: Path, lab: LabNode):
+        self.robot, self.plan, self.folder, self.lab = robot, plan, folder, lab
+        self.out = Outcome(robot, plan, ModelStore(folder / "store"))
+        self.say, self.step = self.out.narration.say, self.out.narration.step
+
+    def tell(self) -> Outcome:
+        """All steps in order."""
+        with self.step("record"):
+            self.record()
+        with self.step("compare"):
+            self.compare()
+        with self.step("locate"):
+            self.locate()
+        model = self.explain()
+        with self.step("infer"):
+            model = self.infer(model)
+        with self.step("retrain"):
+            self.retrain(model)
+        with self.step("measure"):
+            self.measure()
+        return self.out
+
+    # -- steps ----------------------------------------------------------------------------------------------------
+
+    def record(self) -> None:
+        """Motions to learn from, and the task with the first policy."""
+        plan, out = self.plan, self.out
+        self.say(f"robot {self.robot.seed} moves: {len(plan.motions)} motions of {plan.motion_s:g} s, each twice")
+        out.motions = self._motions(plan.motions, "motions", 0)
+        out.before = self._deploy(FIRST_POLICY, "before")
+        told = f"first policy: return {mean_return(out.before):.0f}, final inclination {tilt(out.before):.1f} deg"
+        self.say(f"{len(out.motions) + len(out.before)} rollouts, a bag each, in {self.folder / 'rollouts'}; {told}")
+
+    def compare(self) -> None:
+        """The base model against the measurements."""
+        model = self.out.store.load("hexapod-v0")
+        self.out.models = [model]
+        found = self.out.comparison = compare(model, self.out.motions)
+        worst = max(found.signals, key=lambda s: s.ratio)
+        self.say(
+            f"{model.version} misses by {found.error_over_floor:.1f} times what the robot differs from itself; "
+            f"worst {worst.name}: {worst.error:.3g} {worst.unit} against {worst.noise_floor:.2g}"
+        )
+        for line in found.guards:
+            self.say(line)
+
+    def locate(self) -> None:
+        """Where the error lives."""
+        assert self.out.comparison is not None
+        for finding in self.out.comparison.where[:3]:
+            self.say(finding.statement)
+
+    def explain(self) -> Model:
+        """Diagnose and add, until nothing more is found."""
+        model = self.out.models[0]
+        while True:
+            with self.step("diagnose"):
+                diagnosis = self._diagnose(model)
+            again = diagnosis.verdict == EFFECT and len(model.effects) < MOST_EFFECTS
+            with self.step("add"):
+                model = self._add(model, diagnosis)
+            if not again or self.plan.effects:
+                return model
+
+    def infer(self, model: Model) -> Model:
+        """TCBI on everything recorded so far."""
+        plan, store = self.plan, self.out.store
+        problem = Problem.of(model, self.out.motions + self.out.before, policies=store.root)
+        with console.progress("inferring", total=plan.generations) as advance:
+            result = infer(
+                problem,
+                seed=self.robot.seed,
+                folder=store.folder("runs"),
+                watch=lambda p: advance(done=p.generation - 1 + p.share),
+                particles=plan.particles,
+                generations=plan.generations,
+            )
+        self.out.inference = result
+        saved = store.save(updated(result))
+        self.out.models.append(saved)
+        told = [f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in result.estimates if e.identified]
+        self.say(f"{saved.version}: {'; '.join(told) or 'the data narrow no parameter'}")
+        return saved
+
+    def retrain(self, model: Model) -> None:
+        """A successor of the policy on the posterior; the graph goes on meanwhile."""
+        self.lab.load_policy(FIRST_POLICY)
+        with console.progress("training", total=self.plan.training_s) as advance:
+            result = self.out.retraining = self.lab.retrain(
+                TASK,
+                model.version,
+                self.plan.training_s,
+                self.robot.seed,
+                lambda f: advance(done=max(0.0, self.plan.training_s - f.remaining_s), note=f"return {f.mean_return:.0f}"),
+            )
+        self.say(result.message)
+
+    def measure(self) -> None:
+        """New rollouts: the task again, and motions that no fit has seen."""
+        out = self.out
+        accepted = out.retraining is not None and out.retraining.accepted
+        out.after = self._deploy(out.retraining.policy if accepted else FIRST_POLICY, "after")
+        change = f"return {mean_return(out.before):.0f} -> {mean_return(out.after):.0f}"
+        self.say(f"{change}, final inclination {tilt(out.before):.1f} -> {tilt(out.after):.1f} deg on the robot")
+        out.unseen = self._motions(self.plan.unseen, "unseen", 100)
+        for model in out.models:
+            out.errors[model.version] = compare(model, out.unseen)
+        ladder = ", ".join(f"{v} {c.error_over_floor:.1f}" for v, c in out.errors.items())
+        self.say(f"error over the noise floor on motions that no fit has seen: {ladder}")
+
+    # -- inside ---------------------------------------------------------------------------------------------------
+
+    def _motions(self, gaits: tuple[str, ...], name: str, seed: int) -> list[Measurement]:
+        """Each motion twice, on ground that is tilted another way each time."""
+        folder, bags = self.folder / "rollouts" / name, []
+        with console.progress(f"recording {name}", total=2 * len(gaits)) as advance:
+            for i, gait in enumerate(gaits):
+                angle = 2.4 * i  # rad; never the same direction twice
+                slope = (SLOPE * float(np.cos(angle)), SLOPE * float(np.sin(angle)))
+                for _ in range(2):
+                    bags += self.lab.collect(
+                        TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope]
+                    )
+                    advance(1)
+        return read_measurements(bags)
+
+    def _deploy(self, policy: str, name: str) -> list[Measurement]:
+        """The task with a policy; the same seeds, hence the same slopes, before and after."""
+        plan, folder = self.plan, self.folder / "rollouts" / name
+        with console.progress(f"deploying {Path(policy).stem}", total=plan.deployments) as advance:
+            bags = self.lab.collect(
+                TASK,
+                policy,
+                plan.deployments,
+                1000 + self.robot.seed,
+                folder,
+                duration_s=plan.deployment_s,
+                feedback=lambda f: advance(done=f.done),
+            )
+        return read_measurements(bags)
+
+    def _diagnose(self, model: Model) -> Diagnosis:
+        uses = [u for u in self.plan.effects if u not in model.effects] or None
+        with console.progress("diagnosing", total=1.0) as advance:
+            diagnosis = diagnose(
+                model, self.out.motions, uses=uses, progress=lambda stage, share: advance(done=share, note=stage)
+            )
+        self.out.diagnoses.append(diagnosis)
+        self.say(diagnosis.statement)
+        return diagnosis
+
+    def _add(self, model: Model, diagnosis: Diagnosis) -> Model:
+        """The next version: with the effect that the verdict names, or the base model at its fitted parameters."""
+        use = diagnosis.uses[0] if diagnosis.verdict == EFFECT else ""
+        saved = self.out.store.save(adopted(model, diagnosis, use))
+        self.out.models.append(saved)
+        what = f"has {use}" if use else "keeps its effects, with fitted parameters"
+        values = ", ".join(f"{p.name} {v:.3g} {p.unit}" for p, v in zip(saved.parameters, saved.mean(), strict=True))
+        self.say(f"{saved.version} {what}: {values}")
+        if diagnosis.verdict == NOTHING_MISSING:
+            self.say("nothing is missing: no effect is added")
+        return saved
+
+
+def mean_return(measurements: list[Measurement]) -> float:
+    """Mean return of rollouts."""
+    return float(np.mean([episode_reward(m).total for m in measurements]))
+
+
+def tilt(measurements: list[Measurement]) -> float:
+    """Mean final inclination in degrees."""
+    return float(np.mean([np.degrees(inclination(m.attitude[-1])) for m in measurements if m.attitude is not None]))
