@@ -37,7 +37,7 @@ class CancelledError(TcbiError):
     """The caller does not want the rest."""
 
 
-class until:  # noqa: N801 - reads as a verb: `await until(...)`
+class Until:
     """Wait in a coroutine of rclpy until a condition holds or the wall time is over; tells whether it holds."""
 
     def __init__(self, condition: Callable[[], bool], timeout_s: float = math.inf) -> None:
@@ -93,7 +93,8 @@ class Collector:
         try:
             policy_id = await self._policy(request)
             for index in range(request.number):
-                bags.append(await self._rollout(goal, request, index, folder, policy_id))
+                bag = await self._rollout(goal, request, index, folder, policy_id)
+                bags.append(bag)
         finally:
             if folder is not self.node.folder:
                 folder.close()
@@ -142,13 +143,13 @@ class Collector:
             self._require_recording()
             if time.monotonic() - node.heard_joints_s > node.values.silence_timeout_s:
                 raise RecordingError(
-                    f"no {names.JOINT_STATES} for {node.values.silence_timeout_s:g} s; is the robot's node (sim_node or "
-                    "driver_node) still running?"
+                    f"no {names.JOINT_STATES} for {node.values.silence_timeout_s:g} s; is the robot's node "
+                    "(sim_node or driver_node) still running?"
                 )
             if time.monotonic() - told > FEEDBACK_S:
                 told = time.monotonic()
                 self._tell(goal, index, request.number, left)
-            await until(lambda: node.get_clock().now().nanoseconds >= end, 0.05)
+            await Until(lambda: node.get_clock().now().nanoseconds >= end, 0.05)
         if request.policy != NO_POLICY:
             await self._set_policy(False)
         self._tell(goal, index, request.number, 0.0)
@@ -156,7 +157,7 @@ class Collector:
     async def _end(self, event: RolloutEvent, end: int, request: Request) -> Path:
         node = self.node
         node.recorder.end(end, time.monotonic())
-        await until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
+        await Until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
         self._require_recording()
         event.kind, event.note = RolloutEvent.END, ""
         event.header.stamp = messages.to_stamp(end)
@@ -177,7 +178,7 @@ class Collector:
             node.close(event, now)
         if request.policy != NO_POLICY and self._enable.service_is_ready():
             future = self._enable.call_async(SetBool.Request(data=False))
-            await until(future.done, node.values.service_timeout_s)
+            await Until(future.done, node.values.service_timeout_s)
 
     async def _distance(self) -> float:
         """From the tracker; else what the operator enters in time; else unknown."""
@@ -189,7 +190,7 @@ class Collector:
             (start, orientation), (end, _) = ((_xyz(p.pose.position), _xyzw(p.pose.orientation)) for p in pair)
             return travelled(start, end, orientation)
         if node.values.distance_timeout_s > 0:
-            await until(lambda: node.distance is not None, node.values.distance_timeout_s)
+            await Until(lambda: node.distance is not None, node.values.distance_timeout_s)
         return math.nan if node.distance is None else node.distance
 
     def _require_recording(self) -> None:
@@ -210,10 +211,10 @@ class Collector:
 
     async def _call(self, client: Any, request: Any, what: str, who: str) -> Any:
         timeout_s = self.node.values.service_timeout_s
-        if not await until(client.service_is_ready, timeout_s):
+        if not await Until(client.service_is_ready, timeout_s):
             raise RecordingError(f"nobody offers {what} after {timeout_s:g} s; start {who}")
         future = client.call_async(request)
-        if not await until(future.done, timeout_s):
+        if not await Until(future.done, timeout_s):
             client.remove_pending_request(future)
             raise RecordingError(f"{what} was not answered within {timeout_s:g} s; look at the log of {who}")
         response = future.result()

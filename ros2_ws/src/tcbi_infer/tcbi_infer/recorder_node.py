@@ -19,7 +19,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 
 from tcbi_contract import messages, names
 from tcbi_contract.parameters import declare, parameter
@@ -29,12 +29,12 @@ from tcbi_infer.bags.schemas import stamp_of
 from tcbi_infer.collector import Collector
 from tcbi_infer.errors import InferError, RecordingError
 from tcbi_infer.interfaces import STREAMS
+from tcbi_infer.names import DISTANCE
 from tcbi_infer.recorder import Recorder
 from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import RolloutEvent
 
 QUEUE = 2000  # messages of one topic that may wait: ten seconds at 200 Hz
-DISTANCE = "rollout/distance"  # std_msgs/Float64, m: the operator's entry after a rollout without a tracker
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,7 @@ class RecorderNode(Node):
             )
         self.create_subscription(RolloutEvent, names.ROLLOUT_EVENT, self._on_event, messages.LATCHED_QOS, raw=True)
         self.create_subscription(Float64, DISTANCE, self._on_distance, 10)
+        self.create_subscription(String, names.POLICY_STATUS, self._on_policy, messages.LATCHED_QOS)
 
     def _handler(self, topic: str) -> Any:
         def handle(data: bytes) -> None:
@@ -147,6 +148,9 @@ class RecorderNode(Node):
     def _on_lost(self, event: Any) -> None:
         self.lost += event.total_count_change
         self.get_logger().error(f"{event.total_count_change} messages were lost on their way to the recorder")
+
+    def _on_policy(self, message: String) -> None:
+        self.policy_id = message.data
 
     def _on_distance(self, message: Float64) -> None:
         self.distance = float(message.data)

@@ -48,7 +48,8 @@ class RecordingFolder:
             owner = self._lock.read().strip() or "unknown"
             self._lock.close()
             raise RecordingError(
-                f"{self.path}: another recorder (process {owner}) records into this folder; stop it, or choose another folder"
+                f"{self.path}: another recorder (process {owner}) records into this folder; "
+                "stop it, or choose another folder"
             ) from e
         try:
             self._lock.truncate(0)
@@ -77,7 +78,8 @@ class RecordingFolder:
         free = shutil.disk_usage(self.path).free / MEGABYTE
         if free < megabytes:
             raise RecordingError(
-                f"{self.path}: {free:.0f} MB are free, at least {megabytes:.0f} MB are needed for a rollout; make room on the disk"
+                f"{self.path}: {free:.0f} MB are free, at least {megabytes:.0f} MB are needed for a rollout; "
+                "make room on the disk"
             )
 
     def close(self) -> None:

@@ -1,0 +1,159 @@
+"""`./tcbi collect`: records rollouts of a task."""
+
+import argparse
+import contextlib
+import math
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tcbi_bringup.commands import console
+
+SUMMARY = "Record rollouts of a task, one bag each, from the running graph or from one that is started for it."
+READY_S = 40.0  # for the nodes to be there
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to record, how often, from which robot."""
+    parser.add_argument("--task", default="balance", help="balance or forward (default: balance)")
+    parser.add_argument("--n", type=int, default=1, dest="number", help="number of rollouts (default: 1)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="slopes, blocks and postures are drawn from it (default: 0)"
+    )
+    parser.add_argument(
+        "--robot",
+        default="running",
+        metavar="running|sim|emulated|PORT",
+        help="the graph that runs (default), or a graph started for this: simulation, emulated robot, real robot",
+    )
+    parser.add_argument(
+        "--policy",
+        default="",
+        help="a .safetensors file, a policy of the store, gait:NAME, or none; default: the one that is loaded",
+    )
+    parser.add_argument("--duration", type=float, default=0.0, metavar="S", help="default: the task's own")
+    parser.add_argument(
+        "--slope-roll", type=float, nargs="+", default=[], metavar="RAD", help="one a rollout; else drawn"
+    )
+    parser.add_argument(
+        "--slope-pitch", type=float, nargs="+", default=[], metavar="RAD", help="one a rollout; else drawn"
+    )
+    parser.add_argument(
+        "--model", default="", help="model version to simulate; default: the present one, or the latest"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="where the bags go; default: the recorder's own folder"
+    )
+    parser.add_argument("--realtime", action="store_true", help="simulate in real time (with --robot sim)")
+    parser.add_argument(
+        "--ask-distance", action="store_true", help="ask for the distance after each rollout (no tracker)"
+    )
+    parser.add_argument("--namespace", default="", help="of the graph")
+    console.add_store(parser)
+    console.add_json(parser)
+    console.add_examples(
+        parser,
+        "./tcbi collect --task balance --n 5 --seed 1",
+        "./tcbi collect --robot sim --task forward --n 3 --policy gait:tripod --out bags",
+        "./tcbi collect --robot emulated --task balance --n 10 --json",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask the recorder of the graph; Ctrl-C aborts the rollout that runs and keeps those before."""
+    from tcbi_bringup.domain_lock import present_domain
+    from tcbi_infer.collection import Request, check
+
+    request = Request(
+        task=args.task,
+        number=args.number,
+        seed=args.seed,
+        policy=args.policy,
+        slope_roll=tuple(args.slope_roll),
+        slope_pitch=tuple(args.slope_pitch),
+        duration_s=args.duration,
+        model=args.model,
+        folder=str(args.out.resolve()) if args.out else "",
+    )
+    check(request)
+    domain = present_domain()
+    with _graph(args, domain), console.progress("recording", total=args.number) as advance:
+        result, succeeded = _ask(args, domain, request, advance)
+    if args.json:
+        console.emit({"success": succeeded, "message": result.message, "bags": list(result.bags)})
+    else:
+        for bag in result.bags:
+            print(bag)
+    if not succeeded:
+        from tcbi_infer.errors import RecordingError
+
+        raise RecordingError(f"{len(result.bags)} of {args.number} rollouts recorded: {result.message}")
+    return 0
+
+
+@contextlib.contextmanager
+def _graph(args: argparse.Namespace, domain: int) -> Iterator[None]:
+    """The graph to record from: nothing to do for one that runs."""
+    if args.robot == "running":
+        yield
+        return
+    from tcbi_bringup.domain_lock import hold_domain, refuse_second_graph
+    from tcbi_bringup.graph_monitor import GraphMonitor
+    from tcbi_bringup.launcher import Graph
+    from tcbi_bringup.robot_graph import GraphOptions, companion_processes, emulated_port, robot_processes
+
+    options = GraphOptions(
+        robot=args.robot,
+        task=args.task,
+        model=args.model or "latest",
+        lockstep=args.robot == "sim" and not args.realtime,
+        namespace=args.namespace.strip("/"),
+        store=console.store_folder(args.store),
+        seed=args.seed,
+        learning=False,
+    )
+    options.check()
+    with (
+        hold_domain(domain, options.namespace),
+        tempfile.TemporaryDirectory(prefix="tcbi-") as folder,
+        Graph(domain_id=domain) as graph,
+    ):
+        with GraphMonitor(domain, options.namespace) as monitor:
+            refuse_second_graph(monitor, domain, options.namespace)
+        console.note(f"starting {args.robot}; logs in {graph.log_dir}")
+        for process in robot_processes(options, Path(folder)):
+            graph.start(process)
+            if not process.ros:
+                from tcbi_bringup.commands.up import wait_for_port
+
+                wait_for_port(emulated_port(Path(folder)), graph, lambda: False)
+        for process in companion_processes(options):
+            graph.start(process)
+        yield
+        graph.check()
+
+
+def _ask(args: argparse.Namespace, domain: int, request: Any, advance: Any) -> tuple[Any, bool]:
+    """Send the goal, show its progress, return its result and whether it succeeded."""
+    from tcbi_infer.collect_client import CollectClient
+
+    with CollectClient(domain, args.namespace) as client:
+        if args.ask_distance:
+            client.on_distance = _ask_distance
+        client.on_progress = lambda done, name, left: advance(done=done, note=f"{name}, {left:.0f} s left")
+        return client.collect(request, READY_S)
+
+
+def _ask_distance(rollout_id: str) -> float:
+    """What the operator measured, m."""
+    while True:
+        print(f"{rollout_id}: distance in m (empty if unknown): ", end="", file=sys.stderr, flush=True)
+        answer = sys.stdin.readline().strip()
+        if not answer:
+            return math.nan
+        try:
+            return float(answer)
+        except ValueError:
+            console.note(f"{answer!r} is no number")

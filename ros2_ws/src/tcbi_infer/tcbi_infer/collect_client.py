@@ -1,0 +1,114 @@
+"""Asks a graph's recorder for rollouts, from a program that is no node itself; needs ROS.
+
+    with CollectClient(domain_id=0) as client:
+        result, succeeded = client.collect(Request("balance", 5, seed=1))
+
+Ctrl-C while it waits cancels the goal: the rollout that runs is aborted, those before it stay.
+"""
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import Float64
+
+from tcbi_contract import names
+from tcbi_infer.collection import Request
+from tcbi_infer.errors import RecordingError
+from tcbi_infer.names import DISTANCE
+from tcbi_msgs.action import CollectRollouts
+
+CANCEL_S = 15.0
+
+
+class CollectClient:
+    """A client of `collect_rollouts`; a context manager.
+
+    Attributes:
+      on_progress: called with the rollouts done, the present rollout's id, and its seconds left.
+      on_distance: called with a rollout's id once it is over; what it returns (m) is sent as `rollout/distance`.
+    """
+
+    def __init__(self, domain_id: int | None = None, namespace: str = "") -> None:
+        self.on_progress: Callable[[int, str, float], None] = lambda *_: None
+        self.on_distance: Callable[[str], float] | None = None
+        self._asked: set[str] = set()
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain_id)
+        self._node = rclpy.create_node(
+            "collect_client", context=self._context, namespace=namespace.strip("/") or None, enable_rosout=False
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._client = ActionClient(self._node, CollectRollouts, names.COLLECT_ROLLOUTS)
+        self._distance = self._node.create_publisher(Float64, DISTANCE, 10)
+
+    def collect(self, request: Request, ready_s: float = 40.0) -> tuple[Any, bool]:
+        """Wait for the recorder, send the goal, wait for its end; returns the result and whether all went well.
+
+        Raises:
+          RecordingError: there is no recorder, or it is busy.
+        """
+        if not self._until(self._client.server_is_ready, ready_s):
+            raise RecordingError(
+                f"nobody offers {names.COLLECT_ROLLOUTS} after {ready_s:g} s; start the graph (./tcbi up), or let --robot start one"
+            )
+        sent = self._client.send_goal_async(_goal(request), feedback_callback=self._on_feedback)
+        if not self._until(sent.done, ready_s):
+            raise RecordingError(f"the recorder did not answer within {ready_s:g} s; look at the log of recorder_node")
+        handle = sent.result()
+        if not handle.accepted:
+            raise RecordingError("the recorder is busy with another rollout; wait for its end, or cancel it")
+        ended = handle.get_result_async()
+        try:
+            self._until(ended.done)
+        except KeyboardInterrupt:
+            handle.cancel_goal_async()
+            if not self._until(ended.done, CANCEL_S):
+                raise
+        answer = ended.result()
+        return answer.result, answer.status == GoalStatus.STATUS_SUCCEEDED
+
+    def _until(self, condition: Callable[[], bool], timeout_s: float = float("inf")) -> bool:
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_once(timeout_sec=0.1)
+        return True
+
+    def _on_feedback(self, message: Any) -> None:
+        feedback = message.feedback
+        self.on_progress(int(feedback.done), feedback.rollout_id, float(feedback.remaining_s))
+        if self.on_distance and feedback.remaining_s <= 0 and feedback.rollout_id not in self._asked:
+            self._asked.add(feedback.rollout_id)
+            self._distance.publish(Float64(data=self.on_distance(feedback.rollout_id)))
+
+    def __enter__(self) -> "CollectClient":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+
+def _goal(request: Request) -> CollectRollouts.Goal:
+    return CollectRollouts.Goal(
+        task=request.task,
+        policy=request.policy,
+        number=request.number,
+        seed=request.seed,
+        slope_roll=list(request.slope_roll),
+        slope_pitch=list(request.slope_pitch),
+        duration_s=request.duration_s,
+        model=request.model,
+        folder=request.folder,
+    )

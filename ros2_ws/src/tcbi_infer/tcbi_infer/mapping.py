@@ -1,0 +1,197 @@
+"""The mapping file of an import: which column of a log is which signal of which rig. TOML; docs/bags.md explains it."""
+
+import math
+import tomllib
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from tcbi_infer.errors import MappingError
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+UNITS = {"rad": 1.0, "deg": math.pi / 180, "turn": 2 * math.pi, "N m": 1.0}
+TOP = {"rig", "joints", "task", "source", "policy", "entries", "time", "position", "command", "torque_on", "constants"}
+SIGNAL = {"column", "columns", "file", "time", "unit", "scale", "offset", "list", "pick"}
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Where a signal is in a log, and how it becomes SI units: value * scale + offset."""
+
+    columns: tuple[str, ...]
+    file: str = ""  # in the log's folder; empty: the log is one file
+    time: str = ""  # its own time column; empty: the mapping's
+    listed: bool = False  # one column holds a list with all joints
+    pick: tuple[int, ...] = ()  # which values of the list; empty: all
+    scale: tuple[float, ...] | float = 1.0
+    offset: tuple[float, ...] | float = 0.0
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """A mapping file, checked."""
+
+    rig: str
+    joints: tuple[str, ...]
+    position: Signal
+    command: Signal | None = None
+    torque_on: Signal | None = None
+    torque_commands: bool = False  # commands are N m
+    ramp: float = 0.0  # s
+    time_column: str = "time"
+    time_scale: float = 1.0
+    entries: str = "entries"
+    task: str = "log"
+    source: str = "log"
+    policy_id: str = ""
+    constants: tuple[tuple[str, float | str], ...] = field(default=())
+
+    def is_log(self, path: Path) -> bool:
+        """Whether this path looks like a log of this mapping."""
+        if self.position.file:
+            return path.is_dir() and any((path / f"{self.position.file}{end}").is_file() for end in ("", ".gz"))
+        return path.is_file() and path.name.removesuffix(".gz").endswith((".json", ".csv"))
+
+
+def built_in() -> dict[str, str]:
+    """Name and text of the mappings that come with the project."""
+    folder = resources.files("tcbi_infer") / "mappings"
+    files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
+    return {f.name.removesuffix(".toml"): f.read_text(encoding="utf-8") for f in files}
+
+
+def load_mapping(name: str | Path) -> Mapping:
+    """A mapping file, or a built-in mapping by name.
+
+    Raises:
+      MappingError: there is none, or everything that is wrong in it, at once.
+    """
+    path = Path(name)
+    known = built_in()
+    if path.is_file():
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as e:
+            raise MappingError(f"{path}: cannot be read ({e})") from e
+    elif str(name) in known:
+        text = known[str(name)]
+    else:
+        raise MappingError(f"{name}: there is no such mapping file; built in are {', '.join(known)}")
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
+        raise MappingError(f"{name}: is no TOML ({e})") from e
+    return _Checker(str(name), content).mapping()
+
+
+class _Checker:
+    """Collects everything that is wrong, then raises once."""
+
+    def __init__(self, name: str, content: dict[str, Any]) -> None:
+        self.name, self.content = name, content
+        self.faults = [f"unknown key {key!r}" for key in sorted(set(content) - TOP)]
+
+    def mapping(self) -> Mapping:
+        c = self.content
+        rig = self._text("rig", required=True)
+        joints = c.get("joints")
+        if not (isinstance(joints, list) and joints and all(isinstance(j, str) for j in joints)):
+            self.faults.append(f"joints: got {joints!r}, allowed is a list of names")
+            joints = ["joint"]
+        time = self._section("time", {"column", "unit"})
+        unit = time.get("unit", "s")
+        if unit not in TIME_UNITS:
+            self.faults.append(f"time.unit: got {unit!r}, allowed is one of {', '.join(TIME_UNITS)}")
+        position = self._signal("position", len(joints)) or Signal(("position",))
+        if "position" not in c:
+            self.faults.append("the section [position] is missing")
+        command = self._signal("command", len(joints), {"kind", "ramp"})
+        kind = self._section("command", SIGNAL | {"kind", "ramp"}, report=False).get("kind", "position")
+        if kind not in ("position", "torque"):
+            self.faults.append(f"command.kind: got {kind!r}, allowed is position or torque")
+        mapping = Mapping(
+            rig=rig,
+            joints=tuple(joints),
+            position=position,
+            command=command,
+            torque_on=self._signal("torque_on", 1),
+            torque_commands=kind == "torque",
+            ramp=self._ramp(),
+            time_column=str(time.get("column", "time")),
+            time_scale=TIME_UNITS.get(unit, 1.0),
+            entries=self._text("entries", "entries"),
+            task=self._text("task", "log"),
+            source=self._text("source", "log"),
+            policy_id=self._text("policy", ""),
+            constants=self._constants(),
+        )
+        if self.faults:
+            raise MappingError(f"{self.name}: {'; '.join(self.faults)}")
+        return mapping
+
+    def _text(self, key: str, default: str = "", required: bool = False) -> str:
+        value = self.content.get(key, default)
+        if not isinstance(value, str) or (required and not value):
+            self.faults.append(f"{key}: got {value!r}, allowed is a name")
+            return default
+        return value
+
+    def _section(self, key: str, allowed: set[str], report: bool = True) -> dict[str, Any]:
+        section = self.content.get(key, {})
+        if not isinstance(section, dict):
+            if report:
+                self.faults.append(f"{key}: got {section!r}, allowed is a section with {', '.join(sorted(allowed))}")
+            return {}
+        if report:
+            self.faults += [f"{key}: unknown key {k!r}" for k in sorted(set(section) - allowed)]
+        return section
+
+    def _signal(self, key: str, joints: int, more: set[str] | None = None) -> Signal | None:
+        if key not in self.content:
+            return None
+        section = self._section(key, SIGNAL | (more or set()))
+        columns = section.get("columns", [section["column"]] if "column" in section else [])
+        listed = bool(section.get("list", False))
+        expected = 1 if listed else joints
+        if not isinstance(columns, list) or len(columns) != expected:
+            self.faults.append(f"{key}.columns: got {columns!r}, allowed is a list of {expected}")
+            columns = [""] * expected
+        unit = section.get("unit", "rad")
+        if unit not in UNITS:
+            self.faults.append(f"{key}.unit: got {unit!r}, allowed is one of {', '.join(UNITS)}")
+        scale = self._factor(section.get("scale", 1.0), f"{key}.scale", joints)
+        factor = UNITS.get(unit, 1.0)
+        return Signal(
+            columns=tuple(str(c) for c in columns),
+            file=str(section.get("file", "")),
+            time=str(section.get("time", "")),
+            listed=listed,
+            pick=tuple(int(i) for i in section.get("pick", ())),
+            scale=tuple(s * factor for s in scale) if isinstance(scale, tuple) else scale * factor,
+            offset=self._factor(section.get("offset", 0.0), f"{key}.offset", joints),
+        )
+
+    def _factor(self, value: Any, what: str, joints: int) -> tuple[float, ...] | float:
+        if isinstance(value, (int, float)):
+            return float(value)
+        if isinstance(value, list) and len(value) == joints and all(isinstance(v, (int, float)) for v in value):
+            return tuple(float(v) for v in value)
+        self.faults.append(f"{what}: got {value!r}, allowed is a number, or {joints} of them")
+        return 1.0
+
+    def _ramp(self) -> float:
+        ramp = self._section("command", SIGNAL | {"kind", "ramp"}, report=False).get("ramp", 0.0)
+        if isinstance(ramp, (int, float)) and ramp >= 0:
+            return float(ramp)
+        self.faults.append(f"command.ramp: got {ramp!r}, allowed is 0 s or more")
+        return 0.0
+
+    def _constants(self) -> tuple[tuple[str, float | str], ...]:
+        section = self.content.get("constants", {})
+        if not isinstance(section, dict):
+            self.faults.append(f"constants: got {section!r}, allowed is a section of numbers and keys of the log")
+            return ()
+        wrong = {k: v for k, v in section.items() if not isinstance(v, (int, float, str)) or isinstance(v, bool)}
+        self.faults += [f"constants.{k}: got {v!r}, allowed is a number or a key of the log" for k, v in wrong.items()]
+        return tuple((k, v) for k, v in section.items() if k not in wrong)

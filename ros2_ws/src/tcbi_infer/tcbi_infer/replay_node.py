@@ -1,0 +1,125 @@
+"""Publishes a bag's messages again, byte for byte, with the contract's QoS and with /clock, at any speed.
+
+The nodes that listen run with use_sim_time: on their clock everything happens as it did, however fast it is played.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from tcbi_contract import messages, names
+from tcbi_contract.parameters import declare, parameter
+from tcbi_contract.running import run
+from tcbi_infer.errors import BagError
+from tcbi_infer.interfaces import STREAMS
+from tcbi_infer.player import Cue, schedule
+from tcbi_msgs.msg import RolloutEvent
+
+PERIOD_S = 0.005  # wall time between two looks at the schedule
+CLOCK_STEP_NS = 10_000_000  # /clock at 100 Hz of the recording's time
+LINGER_S = 1.0  # wall time that the last messages have to arrive before the node ends
+
+
+@dataclass(frozen=True)
+class ReplayParameters:
+    """Parameters of the replay node."""
+
+    bag: str = parameter("", "bag folder or .mcap file to play")
+    rate: float = parameter(1.0, "speed; 2 is twice as fast as recorded", low=0.01, high=1000.0)
+    loop: bool = parameter(False, "start again at the end, the clock going on")
+    topics: list[str] = parameter([""], "relative names of the topics to play; empty for all")
+    wait_for: int = parameter(0, "subscribers of joint_states to wait for before the start", low=0, high=100)
+    wait_timeout_s: float = parameter(20.0, "how long to wait for them", low=0.0, high=3600.0)
+    publish_clock: bool = parameter(True, "publish /clock")
+
+
+class ReplayNode(Node):
+    """Plays one bag."""
+
+    def __init__(self) -> None:
+        super().__init__("replay_node")
+        self.values = declare(self, ReplayParameters)
+        if not self.values.bag:
+            raise BagError("parameter bag: nothing to play; give a bag's folder or an .mcap file")
+        self.schedule = schedule(Path(self.values.bag), tuple(t for t in self.values.topics if t))
+        for note in self.schedule.notes:
+            self.get_logger().warning(note)
+        if self.schedule.others:
+            self.get_logger().warning(f"not played, being no topics of the contract: {', '.join(self.schedule.others)}")
+        self._publishers_of: dict[str, Any] = {name: self._publisher(name) for name in self.schedule.topics}
+        clock = self.values.publish_clock
+        self._clock = self.create_publisher(ClockMessage, "/clock", messages.STREAM_QOS) if clock else None
+        self.published = 0
+        self.finished = False
+        self._next = 0
+        self._shift = 0  # ns added to the stamps of /clock in later rounds
+        self._told = 0  # last /clock, ns
+        self._made = time.monotonic()
+        self._began: float | None = None
+        self._ended_at = 0.0
+        self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _publisher(self, name: str) -> Any:
+        if name == names.ROLLOUT_EVENT:
+            return self.create_publisher(RolloutEvent, name, messages.LATCHED_QOS)
+        return self.create_publisher(STREAMS[name], name, messages.STREAM_QOS)
+
+    def _ready(self) -> bool:
+        listened = self._publishers_of.get(names.JOINT_STATES) or next(iter(self._publishers_of.values()))
+        enough = listened.get_subscription_count() >= self.values.wait_for
+        return enough or time.monotonic() - self._made > self.values.wait_timeout_s
+
+    def _on_time(self) -> None:
+        if self.finished:
+            if time.monotonic() - self._ended_at > LINGER_S:
+                raise SystemExit(0)
+            return
+        if self._began is None:
+            if not self._ready():
+                return
+            self._began = time.monotonic()
+        elapsed = (time.monotonic() - self._began) * self.values.rate
+        self._play_until(self.schedule.start + round(elapsed * 1e9))
+
+    def _play_until(self, now: int) -> None:
+        cues = self.schedule.cues
+        while self._next < len(cues) and cues[self._next].time <= now:
+            self._send(cues[self._next])
+        self._tell(min(now, self.schedule.end))
+        if self._next == len(cues):
+            self._end()
+
+    def _send(self, cue: Cue) -> None:
+        self._tell(cue.time, CLOCK_STEP_NS)
+        self._publishers_of[cue.topic].publish(cue.data)
+        self.published += 1
+        self._next += 1
+
+    def _tell(self, now: int, step: int = 0) -> None:
+        """/clock, at least `step` ns after the last one."""
+        stamp = now + self._shift
+        if self._clock is not None and stamp > self._told + step:
+            self._told = stamp
+            self._clock.publish(ClockMessage(clock=messages.to_stamp(stamp)))
+
+    def _end(self) -> None:
+        self.get_logger().info(f"played {self.published} messages")
+        if not self.values.loop:
+            self.finished, self._ended_at = True, time.monotonic()
+            return
+        self._next, self._began = 0, time.monotonic()
+        self._shift += self.schedule.end - self.schedule.start + CLOCK_STEP_NS
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    try:
+        return run("replay_node", ReplayNode, args)
+    except SystemExit as end:
+        return int(end.code or 0)

@@ -1,0 +1,212 @@
+"""Logs of other formats become rollouts, exactly where the numbers are exact, and what is wrong is said in one line."""
+
+import gzip
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_cases import differences
+
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_infer.bags.reader import read_measurement
+from tcbi_infer.errors import MappingError
+from tcbi_infer.importer import logs_in, read_log
+from tcbi_infer.mapping import built_in, load_mapping
+
+DATA = Path(os.environ.get("TCBI_DATA", Path(__file__).parents[5] / "shared" / "data"))
+real_data = [
+    pytest.mark.real_data,
+    pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings (TCBI_DATA or ../shared/data)"),
+]
+
+SAMPLES = [
+    {"timestamp": 0.010, "position": 0.1, "goal_position": 0.0, "torque_enable": True},
+    {"timestamp": 0.015, "position": 0.2, "goal_position": 0.5, "torque_enable": True},
+    {"timestamp": 0.021, "position": 0.3, "goal_position": 0.5, "torque_enable": True},
+    {"timestamp": 0.030, "position": 0.4, "goal_position": 0.5, "torque_enable": False},
+    {"timestamp": 0.035, "position": 0.5, "goal_position": 0.6, "torque_enable": False},  # too late to move anything
+]
+HEADER = {"kp": 100, "mass": 0.49, "length": 0.1, "vin": 7.4}
+
+
+def log(folder: Path, samples=SAMPLES, name="kp100_sin.json", **header) -> Path:
+    path = folder / name
+    path.write_text(json.dumps({**HEADER, **header, "entries": samples}))
+    return path
+
+
+def mapping_file(folder: Path, text: str) -> Path:
+    path = folder / "mapping.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_json_log_becomes_a_rollout_of_its_rig(tmp_path):
+    m = read_log(load_mapping("xl330_bench"), log(tmp_path))
+    assert (m.rollout_id, m.rig, m.joint_names) == ("kp100_sin", "servo_bench", ("servo",))
+    np.testing.assert_array_equal(m.time, [0.0, 0.005, 0.011, 0.02, 0.025])
+    np.testing.assert_array_equal(m.joint_position[:, 0], [0.1, 0.2, 0.3, 0.4, 0.5])
+    np.testing.assert_array_equal(m.commands.time, [0.0, 0.005, 0.02])
+    np.testing.assert_array_equal(m.commands.target[:, 0], [0.0, 0.5, 0.5])
+    np.testing.assert_array_equal(m.commands.torque_on, [True, True, False])
+    assert m.commands.ramp == 0.0 and m.notes == ()
+    assert m.scenario.constant("kp") == 100 and m.scenario.initial_joint_position == (0.1,)
+
+
+def test_the_joints_have_the_names_of_the_built_in_rig():
+    from tcbi_sim.rig import load_rig
+
+    mapping = load_mapping("xl330_bench")
+    assert mapping.joints == load_rig(mapping.rig).joint_names
+
+
+def test_an_imported_rollout_survives_its_bag(tmp_path):
+    m = read_log(load_mapping("xl330_bench"), log(tmp_path))
+    assert differences(m, read_measurement(write_measurement(tmp_path / "bags", m))) == []
+
+
+def test_repeated_and_backward_times_are_put_in_order_and_said(tmp_path):
+    times = [0.0, 0.02, 0.01, 0.03, 0.03, 0.04]
+    samples = [{**SAMPLES[0], "timestamp": t, "position": t} for t in times]
+    m = read_log(load_mapping("xl330_bench"), log(tmp_path, samples))
+    np.testing.assert_array_equal(m.time, [0.0, 0.01, 0.02, 0.03, 0.04])
+    np.testing.assert_array_equal(m.joint_position[:, 0], [0.0, 0.01, 0.02, 0.03, 0.04])
+    text = " ".join(m.notes)
+    assert "out of order" in text and "repeat the stamp" in text
+
+
+CSV_MAPPING = """
+rig = "arm"
+joints = ["a", "b"]
+[time]
+column = "t"
+unit = "ms"
+[position]
+columns = ["qa", "qb"]
+unit = "deg"
+scale = [1, -1]
+offset = [0.0, 0.5]
+[command]
+columns = ["ta", "tb"]
+kind = "torque"
+unit = "N m"
+[constants]
+link = 0.3
+"""
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_csv_log_with_units_signs_and_offsets(tmp_path, packed):
+    text = "t,qa,qb,ta,tb\n0,90,180,1,2\n10,0,0,1,3\n20,45,90,1,3\n25,4"
+    path = tmp_path / ("run.csv.gz" if packed else "run.csv")
+    path.write_bytes(gzip.compress(text.encode()) if packed else text.encode())
+    mapping = load_mapping(mapping_file(tmp_path, CSV_MAPPING))
+    m = read_log(mapping, path)
+    assert m.rollout_id == "run" and mapping.torque_commands
+    np.testing.assert_allclose(m.joint_position[0], [np.pi / 2, 0.5 - np.pi])
+    np.testing.assert_array_equal(m.time, [0.0, 0.01, 0.02])
+    np.testing.assert_array_equal(m.commands.target, [[1, 2], [1, 3]])
+    assert m.scenario.constant("link") == 0.3
+    bag = write_measurement(tmp_path / "bags", m, torque_commands=True)
+    assert differences(m, read_measurement(bag)) == []
+
+
+def test_list_columns_in_two_files_of_a_folder(tmp_path):
+    folder = tmp_path / "sweep"
+    folder.mkdir()
+    (folder / "state_motor.csv").write_text(
+        'type,timestamp,positions\nS,100.5,"[1, 2, 3, 4, 5, 6]"\nS,20100.5,"[2, 3, 4, 5, 6, 7]"\n'
+    )
+    (folder / "control.csv").write_text(
+        'type,timestamp,positions\nC,50,"[0, 0, 0, 0, 0, 0]"\nC,10100.5,"[1, 1, 1, 1, 1, 1]"\n'
+    )
+    mapping = load_mapping("so101_arm")
+    assert logs_in([tmp_path], mapping) == [folder]
+    m = read_log(mapping, folder)
+    assert m.rollout_id == "sweep" and m.joint_position.shape == (2, 6)
+    np.testing.assert_array_equal(m.time, [0.0, 0.02])
+    np.testing.assert_array_equal(m.commands.time, [0.0, 0.01])
+    np.testing.assert_array_equal(m.commands.target[1], np.ones(6))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('rig = "x"\njoints = ["a"]\ncolour = 1\n[position]\ncolumn = "p"\n', "unknown key 'colour'"),
+        ('joints = ["a"]\n[position]\ncolumn = "p"\n', "rig: got ''"),
+        ('rig = "x"\njoints = ["a", "b"]\n[position]\ncolumn = "p"\n', "position.columns"),
+        (
+            'rig = "x"\njoints = ["a"]\n[time]\nunit = "h"\n[position]\ncolumn = "p"\nunit = "grad"\n',
+            "time.unit.*position.unit",
+        ),
+        ('rig = "x"\njoints = ["a"]\n', r"\[position\] is missing"),
+        ("rig = ", "is no TOML"),
+    ],
+)
+def test_a_wrong_mapping_names_all_its_faults_in_one_line(tmp_path, text, words):
+    with pytest.raises(MappingError, match=words) as error:
+        load_mapping(mapping_file(tmp_path, text))
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_mapping_lists_the_built_in_ones():
+    with pytest.raises(MappingError, match="built in are double_pendulum, so101_arm, xl330_bench"):
+        load_mapping("xl331")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("{", "is no JSON"),
+        ("{}", "no list of samples under 'entries'"),
+        (json.dumps({**HEADER, "entries": [{"timestamp": 0}]}), "no column 'position'"),
+        (json.dumps({**HEADER, "entries": [{**SAMPLES[0], "position": "x"}]}), "no number"),
+        (json.dumps({**HEADER, "entries": SAMPLES[:1]}), "1 samples .* at least 2"),
+        (json.dumps({"kp": "high", "entries": SAMPLES}), "constant 'kp'.*constant 'mass'"),
+    ],
+)
+def test_a_wrong_log_is_said_in_one_line(tmp_path, content, words):
+    path = tmp_path / "bad.json"
+    path.write_text(content)
+    with pytest.raises(MappingError, match=words):
+        read_log(load_mapping("xl330_bench"), path)
+
+
+@pytest.mark.parametrize("name", sorted(built_in()))
+def test_every_built_in_mapping_is_valid(name):
+    assert load_mapping(name).joints
+
+
+class TestRealLogs:
+    pytestmark = real_data
+
+    def test_every_servo_bench_recording(self, tmp_path):
+        mapping = load_mapping("xl330_bench")
+        logs = logs_in([DATA / "xl330_pendulum"], mapping)
+        assert len(logs) == 12
+        for path in logs:
+            m = read_log(mapping, path)
+            assert 5.9 < m.time[-1] < 6.1 and len(m.time) > 1000
+            assert f"kp{m.scenario.constant('kp'):.0f}_" in path.name
+            assert (m.commands.torque_on is not None) == ("drop" in path.name)
+        assert differences(m, read_measurement(write_measurement(tmp_path, m))) == []
+
+    def test_every_arm_motion(self, tmp_path):
+        mapping = load_mapping("so101_arm")
+        logs = logs_in([DATA / "so101_arm"], mapping)
+        assert len(logs) == 8
+        m = read_log(mapping, logs[0])
+        assert m.joint_position.shape[1] == 6 and m.time[-1] > 30
+        assert mapping.joints == tuple((logs[0] / "joint_list.txt").read_text().split())
+        assert differences(m, read_measurement(write_measurement(tmp_path, m))) == []
+
+    def test_every_double_pendulum_run(self, tmp_path):
+        mapping = load_mapping("double_pendulum")
+        logs = logs_in([DATA / "double_pendulum"], mapping)
+        assert len(logs) == 5
+        m = read_log(mapping, logs[0])
+        assert m.joint_position.shape[1] == 2 and 4 < m.time[-1] < 11
+        bag = write_measurement(tmp_path, m, torque_commands=True)
+        assert differences(m, read_measurement(bag)) == []
