@@ -136,6 +136,11 @@ def test_diagnostics_tell_voltage_temperature_link_and_mode(make_bench, start_gr
     assert (level, message) == (0, "connected")
     assert {"dropped_frames", "damaged_frames", "late_replies"} <= set(link)
     assert entries()["safety"][2]["mode"] == "limp"
+    assert entries()["graph"][:2] == (0, "alone")
+    intruder = peer.publisher(names.JOINT_STATES, JointState, STREAM_QOS, subscribers=0)
+    peer.wait_until(lambda: entries()["graph"][0] == 2, "the second publisher")
+    assert "2 publishers on joint_states" in entries()["graph"][1]
+    peer.node.destroy_publisher(intruder)
     bench.electronics.bus.absent.add(5)
     peer.wait_until(lambda: entries()["servos"][0] == 2, "the silent servo")
     assert "lm_femur (id 5)" in entries()["servos"][1]
@@ -147,7 +152,7 @@ def test_diagnostics_tell_voltage_temperature_link_and_mode(make_bench, start_gr
     assert entries()["safety"][0] == 1 and "reset_episode" in entries()["safety"][1]
 
 
-BAD_STARTS = {
+BAD_STARTS: dict[str, tuple[dict, str]] = {
     "absent": ({"port": "/dev/no_such_robot"}, "/dev/no_such_robot does not exist"),
     "unnamed": ({"port": ""}, "parameter 'port'"),
     "no_port": ({"port": "/dev/null"}, "not a serial port"),

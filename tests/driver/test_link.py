@@ -297,6 +297,18 @@ def test_a_reset_moves_slowly_and_a_stuck_leg_fails_it_by_name(make_bench, make_
     until(lambda: not bench.body.torque.any(), "limp")
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_fault_of_the_driver_itself_makes_the_robot_limp(make_bench, make_driver, until):
+    bench = make_bench()
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    driver.command()
+    until(lambda: bool(bench.body.torque.all()), "torque")
+    driver.link.post(lambda _: 1 / 0, driver.refusals.append)
+    until(lambda: not driver.link.alive, "the thread's end")
+    assert not bench.body.torque.any()
+
+
 @pytest.mark.parametrize("ports", [1, 2])
 def test_closing_takes_the_torque_off(make_bench, make_driver, until, ports: int):
     bench = make_bench(ports)

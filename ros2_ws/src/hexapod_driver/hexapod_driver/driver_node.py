@@ -155,6 +155,8 @@ class DriverNode(Node):
         if not self.link.alive:
             raise TcbiError("the link's thread has ended by a fault of the driver; its traceback stands above")
         entries = status.statuses(self.link, self._refused, self._last_refusal)
+        topics = (names.JOINT_STATES, names.JOINT_COMMANDS)
+        entries.append(status.graph({topic: self.count_publishers(topic) for topic in topics}))
         board = self.link.identity.name if self.link.identity else ""
         self._diagnostics.publish(diagnostics(self.get_clock().now().to_msg(), self.get_name(), board, entries))
 
@@ -193,6 +195,7 @@ class DriverNode(Node):
         except CommandRefused as error:
             response.success, response.message = False, str(error)
             return response
+        self._newest_command_s = 0.0
         self._joint_stamps.restart()
         self._board_stamps.restart()
         tolerance = self.parameters.posture_tolerance

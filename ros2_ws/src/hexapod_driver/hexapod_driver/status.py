@@ -28,6 +28,18 @@ def statuses(link: Link, refused: int, last_refusal: str) -> list[Status]:
     return [_link(link), _servos(link), _safety(link.safety, refused, last_refusal)]
 
 
+def graph(publishers: dict[str, int]) -> Status:
+    """Whether somebody else speaks on topics that have one publisher each.
+
+    Args:
+      publishers: number of publishers by topic.
+    """
+    crowded = [f"{count} publishers on {topic}" for topic, count in publishers.items() if count > 1]
+    if not crowded:
+        return Status("graph", OK, "alone")
+    return Status("graph", ERROR, f"{', '.join(crowded)}; two graphs share this ROS_DOMAIN_ID, end one of them")
+
+
 def _link(link: Link) -> Status:
     robot = link.robot
     values = {"port": link.settings.port, "reconnects": str(link.reconnects)}
