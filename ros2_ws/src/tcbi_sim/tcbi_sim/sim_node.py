@@ -51,7 +51,7 @@ class SimParameters:
     timestep: float = parameter(0.002, "of the physics, s; must divide 0.02", low=0.0005, high=0.01)
     noise: bool = parameter(True, "give the sensors the rig's noise and encoder steps")
     tracker: bool = parameter(True, "publish tracker/pose")
-    lockstep_timeout_s: float = parameter(2.0, "wall time that an episode waits for a command", low=0.05, high=600.0)
+    lockstep_timeout_s: float = parameter(4.0, "wall time that an episode waits for a command", low=0.05, high=600.0)
 
 
 class SimNode(Node):
