@@ -1,9 +1,9 @@
 """Policies as files: `NAME.safetensors` holds the arrays, `NAME.json` the card. Nothing pickled is ever loaded.
 
-    save_policy(folder / "balance", mlp, card)
-    policy = load_policy(folder / "balance.safetensors")
-    policy.act(0.0, observation)                 # a Controller for the simulation, and what the policy node runs
-    find_policy("gait:stand")                    # or a file, a name in the store, or a shipped name
+save_policy(folder / "balance", mlp, card)
+policy = load_policy(folder / "balance.safetensors")
+policy.act(0.0, observation)                 # a Controller for the simulation, and what the policy node runs
+find_policy("gait:stand")                    # or a file, a name in the store, or a shipped name
 """
 
 import dataclasses
@@ -31,8 +31,13 @@ GAIT_PREFIX = "gait:"
 class Actor(Protocol):
     """What the policy node and the simulation run: a trained policy or a scripted gait."""
 
-    policy_id: str
-    needs_attitude: bool
+    @property
+    def policy_id(self) -> str:
+        """Name and short hash, or `gait:<name>`."""
+
+    @property
+    def needs_attitude(self) -> bool:
+        """Whether it cannot act without the attitude."""
 
     def reset(self, count: int, rng: np.random.Generator | None = None) -> None:
         """Start `count` rollouts."""
@@ -135,7 +140,9 @@ def load_policy(path: Path, robot: Layout = HEXAPOD) -> Policy:
     card_path = path.with_suffix(".json")
     for wanted in (path, card_path):
         if not wanted.is_file():
-            raise PolicyNotFound(f"{wanted} does not exist; a policy is a .safetensors file with its .json card beside it")
+            raise PolicyNotFound(
+                f"{wanted} does not exist; a policy is a .safetensors file with its .json card beside it"
+            )
     data = path.read_bytes()
     try:
         card = Card.from_json(card_path.read_text())
@@ -154,7 +161,9 @@ def _check_shape(policy: Policy) -> None:
     seen = (len(mlp.observation_scale), len(mlp.biases[-1]))
     expected = (len(layout.observation), len(layout.action))
     if seen != expected:
-        raise PolicyDamaged(f"the network maps {seen[0]} values to {seen[1]}, its card says {expected[0]} to {expected[1]}")
+        raise PolicyDamaged(
+            f"the network maps {seen[0]} values to {seen[1]}, its card says {expected[0]} to {expected[1]}"
+        )
 
 
 def find_policy(reference: str, store_root: Path | None = None, robot: Layout = HEXAPOD) -> Policy | Gait:

@@ -4,11 +4,11 @@
     observation, info = environment.reset()
     observation, reward, terminated, truncated, info = environment.step(action)
 
-Every episode has its own physical parameters, drawn from the model's particles, and its own scenario. Episodes never end
-early: all of them are truncated together at the task's duration, and the next ones begin in the same step (the last
+Every episode has its own physical parameters, drawn from the model's particles, and its own scenario. Episodes never
+end early: all of them are truncated together at the task's duration, and the next ones begin in the same step (the last
 observations are in `info["final_obs"]`). Episode set g of seed s is a function of (s, g) alone, so that a training run
-that was killed can go on as if nothing had happened. Physics and reward are the engine's and `reward.step_rewards`; there
-is no copy of either here.
+that was killed can go on as if nothing had happened. Physics and reward are the engine's and `reward.step_rewards`;
+there is no copy of either here.
 """
 
 import dataclasses
@@ -17,14 +17,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
+
 from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_policy.reward import inclination, progress, step_rewards
 from tcbi_sim.engine import Simulator
 from tcbi_sim.measurement import Scenario, observation, roll_pitch_yaw
 from tcbi_sim.model import Model
 from tcbi_sim.sensing import Samples
 from tcbi_sim.tasks import find_task
-
-from tcbi_policy.reward import inclination, progress, step_rewards
 
 TIMESTEP_S = 0.01  # implicitfast with the elliptic cone follows finer steps within 0.15 degrees
 SQUASH_BOUND = 3.0  # tanh(3) is 0.995
@@ -41,7 +41,15 @@ class HexapodVectorEnv(VectorEnv):
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(
-        self, model: Model, task: str, count: int, seed: int = 0, *, squash: bool = False, timestep: float = TIMESTEP_S, threads: int = 0
+        self,
+        model: Model,
+        task: str,
+        count: int,
+        seed: int = 0,
+        *,
+        squash: bool = False,
+        timestep: float = TIMESTEP_S,
+        threads: int = 0,
     ):
         """Make the simulations.
 
@@ -76,7 +84,9 @@ class HexapodVectorEnv(VectorEnv):
         parameters = self.model.sample(rng, self.num_envs)
         return parameters, [self.task.draw(rng, int(rng.integers(2**31))) for _ in range(self.num_envs)]
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start the episodes of the present generation; a seed starts again from generation 0."""
         if seed is not None:
             self._seed, self.generation = int(seed), 0

@@ -1,23 +1,23 @@
 """How good a policy is on draws of a model, and whether one is better than another.
 
-    conditions = draw_conditions(model, "balance", 64, seed=1)
-    before, after = (evaluate(policy, model, conditions) for policy in (old, new))
-    comparison = compare_paired(before, after)
-    comparison.better        # with 95 % confidence
+conditions = draw_conditions(model, "balance", 64, seed=1)
+before, after = (evaluate(policy, model, conditions) for policy in (old, new))
+comparison = compare_paired(before, after)
+comparison.better        # with 95 % confidence
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
-from tcbi_sim.engine import simulate
-from tcbi_sim.measurement import Scenario
-from tcbi_sim.model import Model
-from tcbi_sim.tasks import find_task
 
 from tcbi_policy.artefact import Actor
 from tcbi_policy.environment import TIMESTEP_S
 from tcbi_policy.reward import inclination, progress, simulated_rewards
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Scenario
+from tcbi_sim.model import Model
+from tcbi_sim.tasks import find_task
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,12 @@ def draw_conditions(model: Model, task: str, count: int, seed: int) -> Condition
     return Conditions(parameters, [find_task(task).draw(rng, int(rng.integers(2**31))) for _ in range(count)])
 
 
-def evaluate(actor: Actor, model: Model, conditions: Conditions, timestep: float = TIMESTEP_S, threads: int = 0) -> Evaluation:
+def evaluate(
+    actor: Actor, model: Model, conditions: Conditions, timestep: float = TIMESTEP_S, threads: int = 0
+) -> Evaluation:
     """Roll a policy out, once in each condition."""
-    out = simulate(
-        model, conditions.parameters, conditions.scenarios, controller=actor, pairing="zip", timestep=timestep, threads=threads
-    )  # fmt: skip
+    how = {"pairing": "zip", "timestep": timestep, "threads": threads}
+    out = simulate(model, conditions.parameters, conditions.scenarios, controller=actor, **how)
     assert out.attitude is not None and out.position is not None
     lost = out.diverged[:, 0]
     heading = np.array([s.initial_yaw for s in conditions.scenarios])

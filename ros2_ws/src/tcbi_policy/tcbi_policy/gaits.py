@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from tcbi_contract.names import CONTROL_PERIOD_S, JOINT_LIMIT, LEGS
 
+from tcbi_contract.names import CONTROL_PERIOD_S, JOINT_LIMIT, LEGS
 from tcbi_policy.errors import PolicyNotFound
 from tcbi_policy.kinematics import inverse, neutral_feet
 
@@ -102,7 +102,9 @@ def walk(stroke: float, lift: float, half: int = 2, direction: float = 0.0, turn
     return np.array(rows)
 
 
-def lean(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, rise: float = 0.0, shift: tuple[float, float] = (0, 0)) -> np.ndarray:
+def lean(
+    roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, rise: float = 0.0, shift: tuple[float, float] = (0, 0)
+) -> np.ndarray:
     """Joint angles (18,) in rad that turn (rad), raise and shift (m) the trunk over standing feet."""
     feet = neutral_feet()
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
@@ -142,7 +144,7 @@ def _sinus(rng: np.random.Generator) -> np.ndarray:
 
 
 def _chirp(rng: np.random.Generator) -> np.ndarray:
-    """The trunk rolls, pitches and heaves over standing feet, faster and faster (0.1 to 1 Hz in 10 s), then over again."""
+    """The trunk rolls, pitches and heaves over standing feet, from 0.1 to 1 Hz in 10 s, then over again."""
     time = np.arange(50) * CONTROL_PERIOD_S
     phase = 2 * np.pi * (0.1 * time + 0.5 * (1.0 - 0.1) / 10.0 * time**2)
     rows = [lean(0.15 * np.sin(p), 0.12 * np.cos(p), 0.0, 0.015 * np.sin(2 * p)) for p in phase]

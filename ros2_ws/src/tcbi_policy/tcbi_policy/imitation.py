@@ -26,7 +26,11 @@ def next_posture(cycle: np.ndarray, joint_position: np.ndarray) -> np.ndarray:
 
 
 def imitate(
-    algorithm: BaseAlgorithm, environment: HexapodVectorEnv, cycle: np.ndarray, rounds: int, report: Callable[[int, float], None]
+    algorithm: BaseAlgorithm,
+    environment: HexapodVectorEnv,
+    cycle: np.ndarray,
+    rounds: int,
+    report: Callable[[int, float], None],
 ) -> None:
     """Fit the actor to a gait.
 
@@ -44,7 +48,11 @@ def imitate(
         student = to_mlp(algorithm, environment.limit)
         observation, _ = environment.reset()
         for step in range(environment.steps):
-            label = next_posture(cycle, observation[:, : cycle.shape[1]]) if number else np.tile(cycle[step % len(cycle)], (len(observation), 1))
+            label = (
+                next_posture(cycle, observation[:, : cycle.shape[1]])
+                if number
+                else np.tile(cycle[step % len(cycle)], (len(observation), 1))
+            )
             seen.append(observation)
             wanted.append(label)
             action = student(observation) if number else label
@@ -55,7 +63,12 @@ def imitate(
 
 
 def _fit(
-    algorithm: BaseAlgorithm, optimizer: torch.optim.Optimizer, seen: np.ndarray, wanted: np.ndarray, limit: float, rng: np.random.Generator
+    algorithm: BaseAlgorithm,
+    optimizer: torch.optim.Optimizer,
+    seen: np.ndarray,
+    wanted: np.ndarray,
+    limit: float,
+    rng: np.random.Generator,
 ) -> float:
     """Minimise the squared error of the targets; returns the root of its mean over the last tenth, rad."""
     inputs = torch.as_tensor((seen * OBSERVATION_SCALE).astype(np.float32))

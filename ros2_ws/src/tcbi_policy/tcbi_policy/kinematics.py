@@ -7,6 +7,7 @@ order; joint angles are (18,) or (6, 3) in rad, coxa, femur, tibia.
 import math
 
 import numpy as np
+
 from tcbi_contract.names import JOINT_LIMIT, LEGS
 from tcbi_sim.rigs.hexapod import dimensions
 

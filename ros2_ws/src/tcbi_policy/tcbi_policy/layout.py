@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from tcbi_contract.names import CONTROL_RATE_HZ, JOINT_LIMIT, JOINTS
-
 from tcbi_policy.errors import PolicyMisfit
 
 ATTITUDE_NAMES = ("roll", "pitch", "yaw_since_start")
@@ -31,7 +30,9 @@ class Layout:
         return Layout(tuple(data["observation"]), tuple(data["action"]), **known)
 
 
-def robot_layout(joints: Sequence[str] = JOINTS, limit: float = JOINT_LIMIT, rate_hz: float = CONTROL_RATE_HZ) -> Layout:
+def robot_layout(
+    joints: Sequence[str] = JOINTS, limit: float = JOINT_LIMIT, rate_hz: float = CONTROL_RATE_HZ
+) -> Layout:
     """What a robot with these joints offers: all joint angles and the attitude in, all joint targets out."""
     return Layout((*joints, *ATTITUDE_NAMES), tuple(joints), float(limit), float(rate_hz))
 

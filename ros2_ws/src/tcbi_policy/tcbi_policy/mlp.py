@@ -1,7 +1,7 @@
 """The policy network, evaluated with numpy alone: what runs on the robot needs no torch.
 
-    mlp = Mlp(weights, biases, observation_scale, limit)
-    target = mlp(observation)     # (..., n) rad -> (..., J) rad, within +-limit
+mlp = Mlp(weights, biases, observation_scale, limit)
+target = mlp(observation)     # (..., n) rad -> (..., J) rad, within +-limit
 """
 
 from collections.abc import Mapping
@@ -69,7 +69,9 @@ class Mlp:
         expected = [f"layer{k}.{part}" for k in range(count) for part in ("weight", "bias")] + ["observation_scale"]
         missing = [name for name in expected if name not in tensors]
         if missing or count == 0:
-            raise PolicyDamaged(f"arrays {', '.join(missing) or 'layer0.weight'} are missing; found {', '.join(tensors)}")
+            raise PolicyDamaged(
+                f"arrays {', '.join(missing) or 'layer0.weight'} are missing; found {', '.join(tensors)}"
+            )
         arrays = {name: np.asarray(tensors[name], np.float64) for name in expected}
         return Mlp(
             tuple(arrays[f"layer{k}.weight"] for k in range(count)),

@@ -1,8 +1,8 @@
 """The policy in the graph: sensor data in, joint commands out, 5 times a second of ROS time.
 
-When it acts stands in `ticker.py`. It starts disabled (`policy/enable`), swaps policies while it runs (`policy/load`), and
-stops the motion when sensor data are late or missing: it then publishes no more commands, so that the robot goes limp
-after two control periods of silence, and acts again only after the next `policy/enable`.
+When it acts stands in `ticker.py`. It starts disabled (`policy/enable`), swaps policies while it runs (`policy/load`),
+and stops the motion when sensor data are late or missing: it then publishes no more commands, so that the robot goes
+limp after two control periods of silence, and acts again only after the next `policy/enable`.
 """
 
 import threading
@@ -13,24 +13,25 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
 from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_msgs.msg import RolloutEvent
 from tcbi_msgs.srv import LoadPolicy
-from tcbi_sim.measurement import observation, roll_pitch_yaw
-from tcbi_sim.store import default_root
-from trajectory_msgs.msg import JointTrajectory
-
 from tcbi_policy.artefact import Actor, find_policy
 from tcbi_policy.ticker import SensorLoss, Tick, Ticker
+from tcbi_sim.measurement import observation, roll_pitch_yaw
+from tcbi_sim.store import default_root
 
 SETTLE_S = 0.02  # before the first tick: what was sent before `policy/enable` may still be in the queues
 WATCH_S = 0.05
@@ -76,7 +77,9 @@ class PolicyNode(Node):
         self.create_subscription(Imu, names.IMU, self._on_imu, stream)
         self.create_subscription(JointState, names.JOINT_STATES, self._on_joints, stream)
         self.create_service(SetBool, names.ENABLE_POLICY, self._on_enable)
-        self.create_service(LoadPolicy, names.LOAD_POLICY, self._on_load)
+        # a group of its own: while this one awaits a file, the callbacks of the others go on
+        loading = MutuallyExclusiveCallbackGroup()
+        self.create_service(LoadPolicy, names.LOAD_POLICY, self._on_load, callback_group=loading)
         self.create_timer(WATCH_S, self._watch, clock=self._steady)
         self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._diagnose, clock=self._steady)
         self._first_tick = self.create_timer(SETTLE_S, self._after_enabling, clock=self._steady, autostart=False)
@@ -121,8 +124,8 @@ class PolicyNode(Node):
             return
         try:
             tick = self._ticker.due(self._actor.needs_attitude)
-        except SensorLoss as error:
-            self._stop(str(error))
+        except SensorLoss as error:  # the ticker is off by then
+            self._say_stopped(str(error))
             return
         if tick is not None:
             self._command(tick)
@@ -142,9 +145,11 @@ class PolicyNode(Node):
 
     def _stop(self, reason: str) -> None:
         """No more commands until the next `policy/enable`; the robot goes limp by itself."""
-        if not self._ticker.enabled:
-            return
-        self._ticker.disable()
+        if self._ticker.enabled:
+            self._ticker.disable()
+            self._say_stopped(reason)
+
+    def _say_stopped(self, reason: str) -> None:
         self._fault = reason
         self.get_logger().error(f"motion stopped: {reason}; call policy/enable to go on")
         self._diagnose()
@@ -193,12 +198,15 @@ class PolicyNode(Node):
     def _read(self, reference: str) -> Future:
         """Read and check a policy in a thread, so that no tick waits for a disk."""
         future: Future = Future(executor=self.executor)
+        future.add_done_callback(lambda _: None)  # wakes the executor, which then resumes whoever awaits
 
         def read() -> None:
             try:
                 future.set_result(find_policy(reference, self._store))
             except (TcbiError, OSError) as error:
-                future.set_exception(error if isinstance(error, TcbiError) else TcbiError(f"policy {reference}: {error}"))
+                future.set_exception(
+                    error if isinstance(error, TcbiError) else TcbiError(f"policy {reference}: {error}")
+                )
 
         threading.Thread(target=read, daemon=True).start()
         return future

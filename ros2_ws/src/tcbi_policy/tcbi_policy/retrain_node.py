@@ -13,15 +13,15 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_msgs.msg import String
+
 from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_msgs.action import Retrain
 from tcbi_msgs.srv import LoadPolicy
-from tcbi_sim.store import LATEST, default_root
-
 from tcbi_policy.retraining import Event, Job, Outcome, reference_of, retrain
+from tcbi_sim.store import LATEST, default_root
 
 SWAP_TIMEOUT_S = 5.0
 
@@ -47,7 +47,9 @@ class RetrainNode(Node):
         self._state: dict[str, Any] = {"state": "idle"}
         training, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
-        self.create_subscription(String, names.POLICY_STATUS, self._on_policy, messages.LATCHED_QOS, callback_group=rest)
+        self.create_subscription(
+            String, names.POLICY_STATUS, self._on_policy, messages.LATCHED_QOS, callback_group=rest
+        )
         self._load = self.create_client(LoadPolicy, names.LOAD_POLICY, callback_group=rest)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._diagnose, clock=steady, callback_group=rest)
@@ -74,7 +76,9 @@ class RetrainNode(Node):
         try:
             job = self._job(handle.request)
             self.get_logger().info(f"training for {job.task} on model {job.model}, against {job.current}")
-            outcome = retrain(job, lambda event: self._on_event(handle, event), lambda: bool(handle.is_cancel_requested))
+            outcome = retrain(
+                job, lambda event: self._on_event(handle, event), lambda: bool(handle.is_cancel_requested)
+            )
             self._finish(handle, result, outcome)
         except TcbiError as error:
             result.message = str(error)
@@ -97,7 +101,12 @@ class RetrainNode(Node):
             steps, mean_return = int(event["steps"]), float(event["mean_return"])
             remaining_s = float(event.get("remaining_s", 0.0))
             handle.publish_feedback(Retrain.Feedback(steps=steps, mean_return=mean_return, remaining_s=remaining_s))
-            self._state = {"state": "training", "steps": steps, "mean return": f"{mean_return:.0f}", "remaining (s)": f"{remaining_s:.0f}"}
+            self._state = {
+                "state": "training",
+                "steps": steps,
+                "mean return": f"{mean_return:.0f}",
+                "remaining (s)": f"{remaining_s:.0f}",
+            }
         elif event["event"] in ("resumed", "restarted"):
             self.get_logger().warning(f"training {event['event']}: {event.get('reason', 'from its last checkpoint')}")
 

@@ -3,10 +3,10 @@
     outcome = retrain(Job("balance", model="hexapod-v2", current="balance", store=root), on_event, cancelled)
     if outcome.accepted: load outcome.reference into the policy node
 
-The training runs in a subprocess in a folder of the store that belongs to the job: whoever dies, subprocess or caller, the
-next call with the same job goes on from the last checkpoint. A successor is accepted only if its return is higher with
-95 % confidence on draws of the model that neither the training nor the choice of the best policy has seen; accepted ones
-are kept in the store under the next free name (`balance-1`, `balance-2`, ...).
+The training runs in a subprocess in a folder of the store that belongs to the job: whoever dies, subprocess or caller,
+the next call with the same job goes on from the last checkpoint. A successor is accepted only if its return is higher
+with 95 % confidence on draws of the model that neither the training nor the choice of the best policy has seen;
+accepted ones are kept in the store under the next free name (`balance-1`, `balance-2`, ...).
 """
 
 import dataclasses
@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from tcbi_contract.errors import describe
-from tcbi_sim.store import LATEST, ModelStore
-
 from tcbi_policy.artefact import GAIT_PREFIX, Policy, find_policy, load_policy, policy_paths, save_policy
 from tcbi_policy.configuration import TrainingConfig, preset
 from tcbi_policy.errors import PolicyNotFound, TrainingError
 from tcbi_policy.runs import Run, TrainingProcess, write_run
+from tcbi_sim.store import LATEST, ModelStore
 
 SCRATCH = "none"
 RESTARTS = 3  # of a subprocess that dies
@@ -179,5 +178,7 @@ def reference_of(policy_id: str, root: Path) -> str:
         return policy_id
     name = policy_id.partition("@")[0]
     if find_policy(name, root).policy_id != policy_id:
-        raise PolicyNotFound(f"policy {policy_id} is in use, but {name} in the store is another one; name the policy to start from")
+        raise PolicyNotFound(
+            f"policy {policy_id} is in use, but {name} in the store is another one; name the policy to start from"
+        )
     return name

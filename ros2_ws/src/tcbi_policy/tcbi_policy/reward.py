@@ -23,12 +23,12 @@ The weights are Table 2 of the paper; it names the three terms (section 3) witho
 from dataclasses import dataclass
 
 import numpy as np
+
 from tcbi_contract.errors import describe
 from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_policy.errors import RewardError
 from tcbi_sim.engine import SimulatedRollouts
 from tcbi_sim.measurement import Measurement, roll_pitch_yaw
-
-from tcbi_policy.errors import RewardError
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,9 @@ def step_rewards(
     if w.distance == 0.0:
         return reward
     if progress is None:
-        raise RewardError("the task counts distance, but no position was measured; give the distance at the end instead")
+        raise RewardError(
+            "the task counts distance, but no position was measured; give the distance at the end instead"
+        )
     return reward + w.distance * np.diff(progress, axis=-1)
 
 
@@ -141,7 +143,9 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
         steps = step_rewards(weights, attitude, moved, commands.target, previous)
         return EpisodeReward(steps, float(steps.sum()))
     rest = RewardWeights(0.0, weights.attitude, weights.action)
-    total = step_rewards(rest, attitude, None, commands.target, previous).sum() + weights.distance * measurement.distance
+    total = (
+        step_rewards(rest, attitude, None, commands.target, previous).sum() + weights.distance * measurement.distance
+    )
     return EpisodeReward(np.full(len(commands.time), np.nan), float(total))
 
 

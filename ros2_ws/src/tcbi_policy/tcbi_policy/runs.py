@@ -91,7 +91,8 @@ class TrainingProcess:
         self._errors = (folder / "errors.log").open("ab")
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tcbi_policy.training", str(folder)],
-            stdout=subprocess.PIPE, stderr=self._errors, stdin=subprocess.DEVNULL, env=environment, start_new_session=True,
+            stdout=subprocess.PIPE, stderr=self._errors, stdin=subprocess.DEVNULL,
+            env=environment, start_new_session=True,
         )  # fmt: skip
         self._folder = folder
         self._events: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
@@ -143,7 +144,9 @@ class TrainingProcess:
         if status != 0:
             lines = (self._folder / "errors.log").read_text(errors="replace").strip().splitlines()
             how = f"signal {-status}" if status < 0 else f"status {status}"
-            raise TrainingError(f"training ended with {how}: {lines[-1] if lines else 'no message'} (see {self._folder}/errors.log)")
+            raise TrainingError(
+                f"training ended with {how}: {lines[-1] if lines else 'no message'} (see {self._folder}/errors.log)"
+            )
 
     def end(self) -> None:
         """End the process within a second; what it has learnt up to its last checkpoint stays."""
@@ -159,6 +162,8 @@ class TrainingProcess:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.end()
         self._errors.close()

@@ -3,8 +3,10 @@
 Stable-Baselines3's own archives are pickles; nothing here writes or reads one.
 """
 
+import io
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +14,14 @@ import torch
 from gymnasium.spaces import Box
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
-from tcbi_contract.names import JOINTS
 
+from tcbi_contract.names import JOINTS
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.mlp import Mlp
 
-OBSERVATION_SCALE = np.array([2.0] * len(JOINTS) + [4.0, 4.0, 2.0])  # angles of some 0.5 and 0.25 rad to the order of one
+OBSERVATION_SCALE = np.array(
+    [2.0] * len(JOINTS) + [4.0, 4.0, 2.0]
+)  # angles of some 0.5 and 0.25 rad to the order of one
 
 
 class HexapodVecEnv(VecEnv):
@@ -124,7 +128,7 @@ def state_tensors(algorithm: BaseAlgorithm) -> tuple[dict[str, torch.Tensor], di
 
 def restore_tensors(algorithm: BaseAlgorithm, tensors: Mapping[str, torch.Tensor], texts: Mapping[str, str]) -> None:
     """Undo `state_tensors`."""
-    parameters: dict[str, dict[str, Any]] = {}
+    parameters: Any = {}
     for name in algorithm.get_parameters():
         own = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
         parameters[name] = {"state": _slots(own), "param_groups": json.loads(texts[name])} if name in texts else own
@@ -140,3 +144,26 @@ def _slots(own: Mapping[str, torch.Tensor]) -> dict[int, dict[str, torch.Tensor]
         index, slot = key.split("/")
         state.setdefault(int(index), {})[slot] = value
     return state
+
+
+REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def replay_bytes(algorithm: BaseAlgorithm) -> bytes:
+    """The steps that SAC remembers, as the bytes of an .npz file."""
+    buffer: Any = algorithm.replay_buffer  # type: ignore[attr-defined]
+    size = buffer.size()
+    arrays = {name: getattr(buffer, name)[:size] for name in REPLAY if getattr(buffer, name, None) is not None}
+    file = io.BytesIO()
+    np.savez(file, pos=np.array([buffer.pos, int(buffer.full)]), **arrays)
+    return file.getvalue()
+
+
+def restore_replay(algorithm: BaseAlgorithm, path: Path) -> None:
+    """Undo `replay_bytes`; a file of another size of buffer is refused by its shapes."""
+    buffer: Any = algorithm.replay_buffer  # type: ignore[attr-defined]
+    with np.load(path, allow_pickle=False) as file:
+        buffer.pos, buffer.full = int(file["pos"][0]), bool(file["pos"][1])
+        for name in REPLAY:
+            if name in file:
+                getattr(buffer, name)[: len(file[name])] = file[name]

@@ -1,9 +1,9 @@
 """When the policy acts, and on which samples: driven by the stamps of the sensor data alone.
 
-Ticks lie on the multiples of 0.2 s of ROS time. The tick at time t is due as soon as joint angles (and the attitude, if
-the policy needs it) with a stamp of t or later have arrived, and uses the newest ones in [t - 0.1 s, t]. So the same
-stamps give the same commands, live at any speed, in lockstep and in a replay; nothing here knows ROS or looks at a clock
-but the steady one, for silence.
+Ticks lie on the multiples of 0.2 s of ROS time. The tick at time t is due as soon as joint angles (and the attitude,
+if the policy needs it) with a stamp of t or later have arrived, and uses the newest ones in [t - 0.1 s, t]. So the same
+stamps give the same commands, live at any speed, in lockstep and in a replay; nothing here knows ROS or looks at a
+clock but the steady one, for silence.
 
     ticker = Ticker(sim_time=False, timeout_s=0.4)
     ticker.enable(wall)
@@ -19,8 +19,8 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from tcbi_contract.names import CONTROL_PERIOD_S
 
+from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_policy.errors import PolicyError
 
 PERIOD = round(CONTROL_PERIOD_S * 1e9)  # ns
@@ -183,7 +183,9 @@ class Ticker:
             if stream.at(time) is None:
                 age = stream.age(time)
                 self.disable()
-                raise SensorLoss(f"{stream.name} is {age} at a control tick, at most {MAX_AGE / 1e6:.0f} ms are allowed")
+                raise SensorLoss(
+                    f"{stream.name} is {age} at a control tick, at most {MAX_AGE / 1e6:.0f} ms are allowed"
+                )
         self._next = time + PERIOD
         self.ticks += 1
         position = self._joints.at(time)
@@ -214,5 +216,3 @@ class Ticker:
 
 def _grid_up(stamp: int) -> int:
     return -(-stamp // PERIOD) * PERIOD
-
-

@@ -6,8 +6,8 @@ The folder holds `run.json` (see runs.py), and after a while `checkpoint.safeten
 card. Standard output carries one JSON object a line, each with an `event`: `resumed`, `imitation`, `progress` (steps,
 mean_return, remaining_s), `evaluation` (on fixed seeds), `done`, and, where there is a rival, `comparison`.
 
-Every set of episodes starts from a seed made of the run's seed and its number, and a checkpoint is written between sets:
-so PPO gives the same weights whether it was killed or not, on the same machine and library versions.
+Every set of episodes starts from a seed made of the run's seed and its number, and a checkpoint is written between
+sets: so PPO gives the same weights whether it was killed or not, on the same machine and library versions.
 """
 
 import dataclasses
@@ -28,10 +28,8 @@ from safetensors.torch import save
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from tcbi_contract.errors import TcbiError
-from tcbi_sim.model import Model
-from tcbi_sim.store import ModelStore
 
+from tcbi_contract.errors import TcbiError
 from tcbi_policy.artefact import Card, Policy, find_policy, replace_file, save_policy
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.environment import HexapodVectorEnv
@@ -41,7 +39,17 @@ from tcbi_policy.gaits import CYCLES
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
 from tcbi_policy.runs import Run
-from tcbi_policy.stable_baselines import HexapodVecEnv, from_mlp, restore_tensors, state_tensors, to_mlp
+from tcbi_policy.stable_baselines import (
+    HexapodVecEnv,
+    from_mlp,
+    replay_bytes,
+    restore_replay,
+    restore_tensors,
+    state_tensors,
+    to_mlp,
+)
+from tcbi_sim.model import Model
+from tcbi_sim.store import ModelStore
 
 EVALUATION_SEED = 20_000_003  # apart from every training seed
 ACCEPTANCE_SEED = 30_000_001  # held out from training and from the choice of the best policy alike
@@ -64,7 +72,14 @@ class State:
 class Training:
     """One training run in a folder."""
 
-    def __init__(self, folder: Path, config: TrainingConfig, model: Model, start: Policy | None = None, report: Report | None = None):
+    def __init__(
+        self,
+        folder: Path,
+        config: TrainingConfig,
+        model: Model,
+        start: Policy | None = None,
+        report: Report | None = None,
+    ):
         """Prepare a run, or go on with the one in the folder.
 
         Args:
@@ -103,23 +118,30 @@ class Training:
         self.state.imitated = True
         if not resumed:
             self._evaluate()
+            self._save()
         if not self.exhausted():
             self.algorithm.num_timesteps = self.state.steps
             self.environment.generation = self.state.sets
-            self.algorithm.learn(self.config.steps, callback=_Progress(self), reset_num_timesteps=False)
+            self.algorithm.learn(
+                self.config.steps - self.state.steps, callback=_Progress(self), reset_num_timesteps=False
+            )
         self._clock()
         self._evaluate()
         policy = self._artefact()
         self._save()
-        self._report({"event": "done", "policy": str(policy.path), "policy_id": policy.policy_id, "steps": self.state.steps,
-                      "mean_return": self.state.best, "elapsed_s": self.state.elapsed, "cpu_s": self.state.cpu})  # fmt: skip
+        done = {"policy": str(policy.path), "policy_id": policy.policy_id, "mean_return": self.state.best}
+        spent = {"steps": self.state.steps, "elapsed_s": self.state.elapsed, "cpu_s": self.state.cpu}
+        self._report({"event": "done", **done, **spent})
         return policy
 
     def exhausted(self) -> bool:
         """Whether the steps or the budget are used up."""
+        return self.state.steps >= self.config.steps or self.out_of_time()
+
+    def out_of_time(self) -> bool:
+        """Whether the budget is used up."""
         self._clock()
-        over_time = 0 < self.config.budget_s <= self.state.elapsed
-        return self.state.steps >= self.config.steps or over_time
+        return 0 < self.config.budget_s <= self.state.elapsed
 
     def _clock(self) -> None:
         now, cpu = time.monotonic(), time.process_time()
@@ -132,12 +154,14 @@ class Training:
         self.state.steps = self.algorithm.num_timesteps
         self.state.sets = self.environment.generation
         self._clock()
-        if self.state.sets and self.state.sets % self.config.evaluate_every == 0:
+        due = self.state.sets % self.config.evaluate_every == 0
+        if due:
             self._evaluate()
-        self._save()
+        if due or self.config.algorithm == "ppo":
+            self._save()
         self.progress()
         seed = [self.config.seed, self.state.sets]
-        np.random.seed(np.random.SeedSequence(seed).generate_state(1))  # noqa: NPY002  the library's shuffles use it
+        np.random.seed(np.random.SeedSequence(seed).generate_state(1))
         torch.manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
         _freeze_actor(self.algorithm, self.state.sets < self.config.warm_up)
 
@@ -148,14 +172,17 @@ class Training:
         if self.config.budget_s > 0:
             remaining = np.nanmin([remaining, self.config.budget_s - self.state.elapsed])
         last = self.state.curve[-1]["mean_return"] if self.state.curve else float("nan")
-        self._report({"event": "progress", "steps": self.state.steps, "total_steps": self.config.steps, "mean_return": last,
-                      "elapsed_s": self.state.elapsed, "remaining_s": max(0.0, float(remaining))})  # fmt: skip
+        steps = {"steps": self.state.steps, "total_steps": self.config.steps, "mean_return": last}
+        times = {"elapsed_s": self.state.elapsed, "remaining_s": max(0.0, float(remaining))}
+        self._report({"event": "progress", **steps, **times})
 
     def _imitate(self) -> None:
         cycle = CYCLES[self.config.imitate]
 
         def told(number: int, error: float) -> None:
-            self._report({"event": "imitation", "round": number + 1, "rounds": self.config.imitate_rounds, "error_rad": error})
+            self._report(
+                {"event": "imitation", "round": number + 1, "rounds": self.config.imitate_rounds, "error_rad": error}
+            )
 
         teacher = HexapodVectorEnv(
             self.model, self.config.task, self.config.environments, self.config.seed + 1,
@@ -164,8 +191,12 @@ class Training:
         imitate(self.algorithm, teacher, cycle, self.config.imitate_rounds, told)
 
     def _evaluate(self) -> None:
+        if self.state.curve and self.state.curve[-1]["steps"] == self.state.steps:
+            return
         present = self.present()
-        result = evaluate(_Network(present), self.model, self.conditions, self.config.timestep, self.config.threads).summary()
+        result = evaluate(
+            _Network(present), self.model, self.conditions, self.config.timestep, self.config.threads
+        ).summary()
         self._clock()
         point = {"steps": self.state.steps, "cpu_s": round(self.state.cpu, 1), **result}
         self.state.curve.append(point)
@@ -178,9 +209,10 @@ class Training:
         posterior = {p.name: {"unit": p.unit, "mean": float(m), "sd": float(s)}
                      for p, m, s in zip(self.model.parameters, self.model.mean(), spread, strict=True)}  # fmt: skip
         config = dataclasses.asdict(self.config)
+        taken = {"steps_taken": self.state.steps, "cpu_s": round(self.state.cpu, 1), "mean_return": self.state.best}
         return save_policy(self.folder / "policy", self.best, Card(
             name=self.config.task, task=self.config.task, model=self.model.version, posterior=posterior,
-            training={**config, "steps_taken": self.state.steps, "cpu_s": round(self.state.cpu, 1), "mean_return": self.state.best},
+            training={**config, **taken},
             curve=self.state.curve, libraries=library_versions(), parent=self.start.policy_id if self.start else "",
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         ))  # fmt: skip
@@ -190,6 +222,8 @@ class Training:
         tensors |= {f"best/{name}": torch.as_tensor(array) for name, array in self.best.tensors().items()}
         texts["state"] = json.dumps(dataclasses.asdict(self.state))
         replace_file(self.folder / "checkpoint.safetensors", save(tensors, texts))
+        if self.config.algorithm == "sac":
+            replace_file(self.folder / "replay.npz", replay_bytes(self.algorithm))
 
     def _resume(self) -> bool:
         path = self.folder / "checkpoint.safetensors"
@@ -201,6 +235,8 @@ class Training:
         self.state = State(**json.loads(texts["state"]))
         best = {name.removeprefix("best/"): t.numpy() for name, t in tensors.items() if name.startswith("best/")}
         self.best = Mlp.from_tensors(best, self.environment.limit)
+        if (self.folder / "replay.npz").exists():
+            restore_replay(self.algorithm, self.folder / "replay.npz")
         self._report({"event": "resumed", "steps": self.state.steps})
         return True
 
@@ -235,7 +271,7 @@ class _Progress(BaseCallback):
             self._training.next_set()
 
     def _on_step(self) -> bool:
-        return self._sets < 0 or self._training.environment.generation == self._sets or not self._training.exhausted()
+        return not self._training.out_of_time()  # a set that is not complete is not learnt from
 
 
 def _algorithm(config: TrainingConfig, environment: HexapodVecEnv) -> BaseAlgorithm:
@@ -246,12 +282,13 @@ def _algorithm(config: TrainingConfig, environment: HexapodVecEnv) -> BaseAlgori
     }  # fmt: skip
     if config.algorithm == "ppo":
         return PPO(
-            "MlpPolicy", environment, n_steps=environment.inner.steps, n_epochs=config.epochs, gae_lambda=config.gae_lambda,
-            clip_range=config.clip, policy_kwargs={**layers, "log_std_init": float(np.log(config.noise))}, **common,
+            "MlpPolicy", environment, n_steps=environment.inner.steps, n_epochs=config.epochs,
+            gae_lambda=config.gae_lambda, clip_range=config.clip,
+            policy_kwargs={**layers, "log_std_init": float(np.log(config.noise))}, **common,
         )  # fmt: skip
     return SAC(
-        "MlpPolicy", environment, tau=config.tau, gradient_steps=config.updates, train_freq=1, buffer_size=config.buffer,
-        learning_starts=10 * config.batch_size, policy_kwargs=layers, **common,
+        "MlpPolicy", environment, tau=config.tau, gradient_steps=config.updates, train_freq=1,
+        buffer_size=config.buffer, learning_starts=10 * config.batch_size, policy_kwargs=layers, **common,
     )  # fmt: skip
 
 
@@ -284,10 +321,11 @@ def train_run(folder: Path, report: Report) -> None:
         return
     conditions = draw_conditions(model, run.config.task, run.pairs, ACCEPTANCE_SEED + run.config.seed)
     timing = (run.config.timestep, run.config.threads)
-    comparison = compare_paired(evaluate(rival, model, conditions, *timing), evaluate(policy, model, conditions, *timing))
-    report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, "better": comparison.better,
-            "before": comparison.before, "after": comparison.after, "gain": comparison.gain, "gain_at_least": comparison.low,
-            "pairs": comparison.pairs, "statement": comparison.statement()})  # fmt: skip
+    comparison = compare_paired(
+        evaluate(rival, model, conditions, *timing), evaluate(policy, model, conditions, *timing)
+    )
+    facts = {"better": comparison.better, "statement": comparison.statement(), **dataclasses.asdict(comparison)}
+    report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, **facts})
 
 
 def main(args: list[str] | None = None) -> int:

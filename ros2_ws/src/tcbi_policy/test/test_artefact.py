@@ -1,6 +1,7 @@
 """Policies as files: equal to torch, refused by name of what differs, nothing pickled."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from tcbi_policy.mlp import Mlp
 
 def network(seed: int = 0, sizes: tuple[int, ...] = (21, 256, 256, 18)) -> Mlp:
     rng = np.random.default_rng(seed)
-    pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
+    pairs = list(pairwise(sizes))
     weights = tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in pairs)
     return Mlp(weights, tuple(rng.normal(size=b) * 0.1 for _, b in pairs), np.full(sizes[0], 2.0), HEXAPOD.limit)
 
@@ -65,7 +66,9 @@ def test_what_is_saved_is_what_is_loaded(tmp_path: Path) -> None:
         (HEXAPOD.action, 10.0, "control rate is 5 Hz, the robot's is 10 Hz"),
     ],
 )
-def test_a_policy_for_another_robot_is_refused_by_what_differs(tmp_path: Path, joints: tuple[str, ...], rate: float, says: str) -> None:
+def test_a_policy_for_another_robot_is_refused_by_what_differs(
+    tmp_path: Path, joints: tuple[str, ...], rate: float, says: str
+) -> None:
     with pytest.raises(PolicyMisfit, match=says):
         load_policy(saved(tmp_path), robot_layout(joints, rate_hz=rate))
 

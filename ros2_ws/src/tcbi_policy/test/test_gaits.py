@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
+
 from tcbi_contract.names import JOINT_LIMIT
+from tcbi_policy.errors import PolicyNotFound
+from tcbi_policy.gaits import GAITS, MAX_CHANGE, Gait, lean
+from tcbi_policy.kinematics import forward, inverse, neutral_feet
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs.hexapod import build
-
-from tcbi_policy.errors import PolicyNotFound
-from tcbi_policy.gaits import GAITS, MAX_CHANGE, Gait, lean
-from tcbi_policy.kinematics import forward, inverse, neutral_feet
 
 
 @pytest.mark.parametrize("name", GAITS)
@@ -61,7 +61,9 @@ def test_leaning_turns_the_feet_about_the_trunk() -> None:
     assert (feet[:3, 2] < neutral_feet()[:3, 2]).all() and (feet[3:, 2] > neutral_feet()[3:, 2]).all()
 
 
-@pytest.mark.parametrize(("name", "low", "high"), [("tripod", 0.6, 1.2), ("backward", -1.2, -0.6), ("stand", -0.005, 0.005)])
+@pytest.mark.parametrize(
+    ("name", "low", "high"), [("tripod", 0.6, 1.2), ("backward", -1.2, -0.6), ("stand", -0.005, 0.005)]
+)
 def test_the_robot_goes_where_the_gait_says(name: str, low: float, high: float) -> None:
     model = base_model("hexapod")
     out = simulate(model, model.mean()[None], [Scenario("forward", 5.0)], controller=Gait(name), timestep=0.01)

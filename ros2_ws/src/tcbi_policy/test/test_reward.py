@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from tcbi_sim.engine import simulate
-from tcbi_sim.measurement import Commands, Measurement, Scenario, quaternion_from_rpy
-from tcbi_sim.model import base_model
 
 from tcbi_policy.errors import RewardError
 from tcbi_policy.gaits import Gait
 from tcbi_policy.reward import attitude_error, episode_reward, inclination, progress, simulated_rewards, step_rewards
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Measurement, Scenario, quaternion_from_rpy
+from tcbi_sim.model import base_model
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 

@@ -1,0 +1,156 @@
+"""The policy node and the retrain action in a running graph."""
+
+import time
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from tcbi_bringup.launcher import NodeProcess
+from tcbi_contract import messages, names
+from tcbi_msgs.action import Retrain
+from tcbi_msgs.msg import RolloutEvent
+from tcbi_msgs.srv import LoadPolicy, ResetEpisode
+from tcbi_policy.gaits import Gait
+
+pytestmark = pytest.mark.graph
+MS = 1_000_000
+
+
+def nanoseconds(message: Any) -> int:
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def policy_node(**parameters: Any) -> NodeProcess:
+    return NodeProcess("tcbi_policy", "policy_node", parameters=parameters)
+
+
+def begin_rollout(peer: Any, task: str, duration: float, seed: int = 1) -> int:
+    """Reset, BEGIN, policy on; the rollout's zero in ns."""
+    reset = peer.call(names.RESET_EPISODE, ResetEpisode.Request(task=task, duration=duration, seed=seed), ResetEpisode)
+    assert reset.success, reset.message
+    event = RolloutEvent(rollout_id="r", kind=RolloutEvent.BEGIN, task=task)
+    event.header.stamp = reset.stamp
+    peer.publisher(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS, subscribers=2).publish(event)
+    assert peer.call(names.ENABLE_POLICY, SetBool.Request(data=True), SetBool).success
+    return nanoseconds(event)
+
+
+class Sensors:
+    """Sensor data made by the test, at stamps of its choice."""
+
+    def __init__(self, peer: Any) -> None:
+        self.joints = peer.publisher(names.JOINT_STATES, JointState, messages.STREAM_QOS)
+        self.imu = peer.publisher(names.IMU, Imu, messages.STREAM_QOS)
+        self.stamp = time.time_ns() // (20 * MS) * (20 * MS)
+
+    def send(self, count: int, imu: bool = True) -> None:
+        for _ in range(count):
+            self.stamp += 20 * MS
+            stamp = messages.to_stamp(self.stamp)
+            if imu:
+                self.imu.publish(messages.imu(stamp, (0.0, 0.0, 0.0, 1.0), (0.0,) * 3, (0.0, 0.0, 9.81)))
+            self.joints.publish(messages.joint_state(stamp, [0.0] * 18))
+
+
+def test_in_lockstep_every_tick_of_a_rollout_has_its_command_also_while_policies_are_swapped(
+    start_graph: Any, peer: Any, tmp_path: Any
+) -> None:
+    sim = NodeProcess("tcbi_sim", "sim_node", parameters={"mode": "lockstep", "timestep": 0.01, "store": str(tmp_path)})
+    start_graph(sim, policy_node(policy="gait:tripod", use_sim_time=True, store=str(tmp_path)))
+    commands = peer.collect(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS)
+    status = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
+    zero = begin_rollout(peer, "forward", 30.0)
+    peer.wait_until(lambda: len(commands) >= 20, "twenty commands")
+    loaded = [peer.call(names.LOAD_POLICY, LoadPolicy.Request(policy=p), LoadPolicy) for p in ("balance", "gait:stand")]
+    assert all(answer.success for answer in loaded)
+    peer.wait_until(lambda: len(commands) >= 150, "all commands of the rollout")
+    stamps = [nanoseconds(c) for c in commands[:150]]
+    assert stamps == [zero + k * 200 * MS for k in range(150)]
+    assert commands[0].joint_names == list(names.JOINTS)
+    first = np.array([c.points[0].positions for c in commands[:20]])
+    np.testing.assert_allclose(first, Gait("tripod").targets[:20], atol=1e-12)
+    np.testing.assert_array_equal(commands[149].points[0].positions, np.zeros(18))
+    assert [m.data.partition("@")[0] for m in status] == ["gait:tripod", "balance", "gait:stand"]
+
+
+def test_the_same_stamps_give_the_same_commands_whenever_they_arrive(start_graph: Any, peer: Any) -> None:
+    start_graph(policy_node(policy="balance"))
+    commands = peer.collect(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS)
+    sensors = Sensors(peer)
+    assert peer.call(names.ENABLE_POLICY, SetBool.Request(data=True), SetBool).success
+    for number in range(5):
+        sensors.send(10)
+        peer.wait_until(lambda least=number: len(commands) > least, "a command")
+    stamps = [nanoseconds(c) for c in commands]
+    assert all(b - a == 200 * MS for a, b in pairwise(stamps))
+    assert all(stamp % (200 * MS) == 0 for stamp in stamps)
+    assert np.ptp([c.points[0].positions for c in commands], axis=0).max() == 0.0
+
+
+def test_a_lost_imu_stops_the_motion_says_so_and_waits_for_the_next_enable(start_graph: Any, peer: Any) -> None:
+    start_graph(policy_node(policy="balance"))
+    commands = peer.collect(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS)
+    diagnostics = peer.collect(names.DIAGNOSTICS, DiagnosticArray, messages.STREAM_QOS)
+    sensors = Sensors(peer)
+    peer.call(names.ENABLE_POLICY, SetBool.Request(data=True), SetBool)
+    sensors.send(15)
+    peer.wait_until(lambda: len(commands) >= 1, "a command")
+
+    def said() -> list[str]:
+        return [s.message for d in diagnostics for s in d.status if s.name == "policy_node" and s.level == b"\x02"]
+
+    sensors.send(40, imu=False)
+    peer.wait_until(lambda: bool(said()), "an error in the diagnostics")
+    assert "imu/data" in said()[0]
+    count = len(commands)
+    sensors.send(30)
+    peer.call(names.LOAD_POLICY, LoadPolicy.Request(), LoadPolicy)
+    assert len(commands) == count
+    peer.call(names.ENABLE_POLICY, SetBool.Request(data=True), SetBool)
+    sensors.send(15)
+    peer.wait_until(lambda: len(commands) > count, "a command after the next enable")
+
+
+def test_a_policy_that_does_not_exist_leaves_the_present_one(start_graph: Any, peer: Any) -> None:
+    start_graph(policy_node(policy="gait:stand"))
+    answer = peer.call(names.LOAD_POLICY, LoadPolicy.Request(policy="gait:moonwalk"), LoadPolicy)
+    assert not answer.success
+    assert "tripod" in answer.message
+    assert answer.policy_id == "gait:stand"
+
+
+def test_a_node_with_an_unknown_policy_ends_with_one_line(start_graph: Any) -> None:
+    graph = start_graph(policy_node(policy="moonwalk"), wait=False)
+    assert graph.wait_for_exit("policy_node", 40.0) == 1
+    assert "moonwalk" in graph.tail("policy_node", 1)
+
+
+@pytest.mark.slow
+def test_retraining_is_cancelled_at_once_and_resumed_and_says_whether_the_result_is_better(
+    start_graph: Any, peer: Any, tmp_path: Any
+) -> None:
+    retrain = NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(tmp_path)})
+    start_graph(policy_node(policy="balance", store=str(tmp_path)), retrain)
+    client = ActionClient(peer.node, Retrain, names.RETRAIN)
+    peer.wait_until(client.server_is_ready, "the action server")
+    feedback: list[Any] = []
+    goal = Retrain.Goal(task="balance", budget_s=8.0)
+    handle = peer.result(client.send_goal_async(goal, feedback.append), "the goal's acceptance")
+    assert handle.accepted
+    peer.wait_until(lambda: bool(feedback), "feedback", 110.0)
+    peer.result(handle.cancel_goal_async(), "the answer to the cancellation")
+    result = peer.result(handle.get_result_async(), "the end of the cancelled goal", 5.0).result
+    assert not result.success and "cancelled" in result.message
+    again = peer.result(client.send_goal_async(goal), "the second goal's acceptance")
+    result = peer.result(again.get_result_async(), "the result", 110.0).result
+    assert result.success, result.message
+    assert result.accepted == (result.message.startswith("better"))
+    assert np.isfinite([result.return_before, result.return_after]).all()
