@@ -1,0 +1,229 @@
+"""The recorder in a graph: rollouts on request, the same bits twice, a kill, a second recorder, a replay."""
+
+import shutil
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.action import ActionClient
+from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from tcbi_bringup.launcher import Graph, NodeProcess
+from tcbi_contract import messages, names
+from tcbi_contract.names import JOINTS
+from tcbi_infer.bags.reader import read_measurement
+from tcbi_infer.bags.recovery import recover
+from tcbi_infer.bags.scan import Scan
+from tcbi_infer.bags.schemas import typestore
+from tcbi_msgs.action import CollectRollouts
+from tcbi_msgs.msg import RolloutEvent
+
+pytestmark = pytest.mark.graph
+
+
+def recorder(folder: Path, lockstep: bool = True, **parameters) -> NodeProcess:
+    values = {"folder": str(folder), "use_sim_time": lockstep, "min_free_mb": 1.0, **parameters}
+    return NodeProcess("tcbi_infer", "recorder_node", parameters=values)
+
+
+def simulation(folder: Path, lockstep: bool = True) -> tuple[NodeProcess, NodeProcess]:
+    clock = {"use_sim_time": True} if lockstep else {}
+    store = {"store": str(folder / "store")}
+    mode = {"mode": "lockstep" if lockstep else "realtime"}
+    return (
+        NodeProcess("tcbi_sim", "sim_node", parameters={**mode, **store}),
+        NodeProcess("tcbi_policy", "policy_node", parameters={**store, **clock, "policy": "gait:tripod"}),
+    )
+
+
+class Collection:
+    """A goal of `collect_rollouts` and its answer."""
+
+    def __init__(self, peer, **goal) -> None:
+        self.peer, self.told = peer, []
+        self._client = ActionClient(peer.node, CollectRollouts, names.COLLECT_ROLLOUTS)
+        peer.wait_until(self._client.server_is_ready, "the recorder's action")
+        sent = self._client.send_goal_async(
+            CollectRollouts.Goal(**goal), feedback_callback=lambda m: self.told.append(m.feedback)
+        )
+        self.handle = peer.result(sent, "the answer to the goal")
+        self._ended = self.handle.get_result_async() if self.handle.accepted else None
+
+    def result(self):
+        answer = self.peer.result(self._ended, "the end of the collection", 90.0)
+        return answer.status, answer.result
+
+
+def contents(bag: Path) -> dict[str, np.ndarray]:
+    """What a rollout measured and was told, without its name."""
+    m = read_measurement(bag)
+    assert m.notes == (), m.notes
+    arrays = {n: v for n, v in vars(m).items() if isinstance(v, np.ndarray)}
+    return {**arrays, "command_time": m.commands.time, "target": m.commands.target, "distance": np.array(m.distance)}
+
+
+def test_rollouts_on_request_lose_nothing_and_repeat_bit_for_bit(start_graph, peer, tmp_path):
+    start_graph(*simulation(tmp_path), recorder(tmp_path / "bags"))
+    goal = {"task": "balance", "number": 2, "seed": 7}
+    first = Collection(peer, **goal)
+    status, result = first.result()
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.message
+    assert len(result.bags) == 2 and {t.number for t in first.told} == {2}
+    for bag in map(Path, result.bags):
+        m = read_measurement(bag)
+        np.testing.assert_allclose(np.diff(m.time), 0.02, atol=1e-9)
+        assert len(m.time) == 401 and m.time[0] == 0 and len(m.commands.time) == 40
+        assert m.scenario.task == "balance" and m.source == "sim" and m.policy_id.startswith("gait:tripod")
+        assert np.isfinite(m.distance)
+        with Reader(bag) as reader:
+            assert {"/joint_states", "/imu/data", "/foot_contacts", "/joint_commands", "/rollout/event"} <= set(reader.topics)
+    assert read_measurement(result.bags[0]).scenario.slope_roll != read_measurement(result.bags[1]).scenario.slope_roll
+    status, again = Collection(peer, **goal).result()
+    assert status == GoalStatus.STATUS_SUCCEEDED
+    for one, other in zip(result.bags, again.bags, strict=True):
+        a, b = contents(Path(one)), contents(Path(other))
+        assert a.keys() == b.keys()
+        assert [name for name in a if not np.array_equal(a[name], b[name])] == []
+
+
+def test_a_killed_recorder_loses_at_most_the_last_second(start_graph, peer, tmp_path):
+    graph: Graph = start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
+    seen = peer.collect(names.JOINT_STATES, JointState, messages.STREAM_QOS)
+    begun = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
+    collection = Collection(peer, task="balance", number=1, seed=1)
+    peer.wait_until(lambda: bool(begun), "BEGIN")
+    begin = messages.seconds(begun[0].header.stamp)
+    peer.wait_until(lambda: bool(seen) and messages.seconds(seen[-1].header.stamp) > begin + 3.0, "3 s of the rollout")
+    graph.send_signal("recorder_node", signal.SIGKILL)
+    last = messages.seconds(seen[-1].header.stamp)
+    assert graph.wait_for_exit("recorder_node", 10.0) == -signal.SIGKILL
+    assert collection.handle.accepted
+    left = next((tmp_path / "bags").glob("*.recording"))
+    m = read_measurement(left)
+    assert begin + m.time[-1] > last - 1.0
+    copy = Path(shutil.copytree(left, tmp_path / "copy" / left.name))
+    repaired = read_measurement(recover(copy).bag)
+    assert len(repaired.time) == len(m.time)
+    start_graph(NodeProcess("tcbi_infer", "recorder_node", name="next", parameters={"folder": str(tmp_path / "bags")}), wait=False)
+    final = tmp_path / "bags" / left.name.removesuffix(".recording")
+    peer.wait_until((final / "metadata.yaml").is_file, "the next recorder's repair")
+    assert len(read_measurement(final).time) == len(m.time)
+
+
+def test_a_second_recorder_on_the_same_folder_ends_with_one_line(start_graph, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False))
+    second = NodeProcess("tcbi_infer", "recorder_node", name="second", parameters={"folder": str(tmp_path / "bags")})
+    graph = start_graph(second, wait=False)
+    assert graph.wait_for_exit("second", 40.0) == 1
+    assert "another recorder (process" in graph.tail("second", 1)
+
+
+def test_cancelling_aborts_the_rollout_and_keeps_what_was_recorded(start_graph, peer, tmp_path):
+    start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
+    events = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
+    collection = Collection(peer, task="balance", number=3, seed=2)
+    second = Collection(peer, task="balance", number=1)
+    assert collection.handle.accepted and not second.handle.accepted
+    peer.wait_until(lambda: any(t.remaining_s < 6.5 for t in collection.told), "the first seconds")
+    peer.result(collection.handle.cancel_goal_async(), "the answer to the cancelling")
+    status, result = collection.result()
+    assert status == GoalStatus.STATUS_CANCELED and not result.success and list(result.bags) == []
+    peer.wait_until(lambda: events[-1].kind == RolloutEvent.ABORT, "ABORT")
+    m = read_measurement(tmp_path / "bags" / events[-1].rollout_id)
+    assert len(m.time) > 50 and any("aborted (cancelled)" in note for note in m.notes)
+    assert m.scenario.duration < 8.0
+
+
+def test_a_missing_node_is_named(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False, service_timeout_s=0.5))
+    status, result = Collection(peer, task="balance", number=1).result()
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.message == "nobody offers policy/enable after 0.5 s; start policy_node"
+    status, result = Collection(peer, task="balance", number=1, policy="none").result()
+    assert result.message == "nobody offers reset_episode after 0.5 s; start sim_node or driver_node"
+    status, result = Collection(peer, task="dance", number=0, slope_roll=[1.0]).result()
+    assert "task: got 'dance'" in result.message and "number: got 0" in result.message
+
+
+def test_no_room_on_the_disk_aborts_with_one_line_and_shows_in_diagnostics(start_graph, peer, tmp_path):
+    start_graph(*simulation(tmp_path), recorder(tmp_path / "bags", min_free_mb=1e9))
+    health = peer.collect(names.DIAGNOSTICS, DiagnosticArray, messages.STREAM_QOS)
+    status, result = Collection(peer, task="balance", number=1).result()
+    assert status == GoalStatus.STATUS_ABORTED and "make room on the disk" in result.message
+
+    def shown() -> bool:
+        states = [s for array in health for s in array.status if s.name.startswith("recorder_node")]
+        return any(s.level == DiagnosticStatus.ERROR and "make room" in s.message for s in states)
+
+    peer.wait_until(shown, "the error in diagnostics")
+
+
+def test_another_programs_events_are_recorded_too(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False))
+    events = peer.publisher(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
+    joints = peer.publisher(names.JOINT_STATES, JointState, messages.STREAM_QOS)
+    begin = peer.node.get_clock().now().nanoseconds
+    event = RolloutEvent(rollout_id="by_hand", kind=RolloutEvent.BEGIN, task="forward", source="lab")
+    event.header.stamp = messages.to_stamp(begin)
+    joints.publish(messages.joint_state(messages.to_stamp(begin), [0.5] * 18))
+    events.publish(event)
+    for k in range(1, 51):
+        joints.publish(messages.joint_state(messages.to_stamp(begin + k * 20_000_000), [0.01 * k] * 18))
+        peer.executor.spin_once(timeout_sec=0.005)
+    event.kind, event.distance = RolloutEvent.END, 0.75
+    event.header.stamp = messages.to_stamp(begin + 1_000_000_000)
+    peer.wait_until((tmp_path / "bags" / "by_hand.recording").is_dir, "the recording")
+    events.publish(event)
+    peer.wait_until((tmp_path / "bags" / "by_hand" / "metadata.yaml").is_file, "the bag")
+    m = read_measurement(tmp_path / "bags" / "by_hand")
+    assert len(m.time) == 51 and m.distance == 0.75 and m.joint_position[0, 0] == 0.5 and m.source == "lab"
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0])
+def test_a_replay_gives_back_the_same_bytes_and_the_recordings_clock(start_graph, peer, tmp_path, rate):
+    bag = made_bag(tmp_path)
+    heard: list[bytes] = []
+    peer.node.create_subscription(JointState, names.JOINT_STATES, heard.append, 500, raw=True)
+    clock = peer.collect("/clock", Clock, messages.STREAM_QOS)
+    values = {"bag": str(bag), "rate": rate, "wait_for": 1}
+    graph = start_graph(NodeProcess("tcbi_infer", "replay_node", parameters=values), wait=False)
+    assert finished(peer, graph, "replay_node") == 0
+    original = [m.data for m in Scan(bag / "made_0.mcap").messages() if m.channel.topic == "/joint_states"]
+    assert heard == original
+    times = [messages.seconds(c.clock) for c in clock]
+    assert times == sorted(set(times)) and times[-1] == pytest.approx(3.0) and len(times) > 50
+
+
+def made_bag(folder: Path) -> Path:
+    from tcbi_infer.bags.measurement_writer import write_measurement
+    from tcbi_sim.measurement import Commands, Measurement, Scenario
+
+    time = np.arange(101) * 0.02
+    position = np.sin(time)[:, None] * np.ones(18)
+    commands = Commands(np.empty(0), np.empty((0, 18)))
+    made = Measurement("made", "hexapod", Scenario("balance", 2.0), "", "sim", commands, JOINTS, (), time, position)
+    return write_measurement(folder, made)
+
+
+def finished(peer, graph: Graph, name: str) -> int:
+    def ended() -> bool:
+        return next(s for s in graph.status() if s.name == name).exit_code is not None
+
+    peer.wait_until(ended, f"the end of {name}")
+    return graph.wait_for_exit(name, 5.0)
+
+
+def test_the_contracts_types_have_the_hashes_that_ros_gives_them(peer, domain):
+    publisher = peer.publisher(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS, subscribers=0)
+    peer.wait_until(lambda: bool(peer.node.get_publishers_info_by_topic(names.ROLLOUT_EVENT)), "the publisher")
+    info = peer.node.get_publishers_info_by_topic(names.ROLLOUT_EVENT)[0]
+    told = getattr(info, "topic_type_hash", None)
+    if told is None:
+        pytest.skip("this rclpy does not tell the hashes of types")
+    assert str(told) == typestore().hash_rihs01("tcbi_msgs/msg/RolloutEvent")
+    assert publisher.topic_name
