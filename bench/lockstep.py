@@ -44,13 +44,11 @@ class Collection:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.seen: list[tuple[int, float]] = []
-        self.node.create_subscription(
-            RolloutEvent,
-            names.ROLLOUT_EVENT,
-            lambda e: self.seen.append((e.kind, time.monotonic())),
-            messages.LATCHED_QOS,
-        )
+        self.node.create_subscription(RolloutEvent, names.ROLLOUT_EVENT, self._take, messages.LATCHED_QOS)
         self.client = ActionClient(self.node, CollectRollouts, names.COLLECT_ROLLOUTS)
+
+    def _take(self, event: RolloutEvent) -> None:
+        self.seen.append((event.kind, time.monotonic()))
 
     def wait(self, done: Any, what: str) -> None:
         """Spin until `done()`."""

@@ -65,7 +65,9 @@ def _allowed(field: dataclasses.Field, default: Any) -> str:
     kind = type(default).__name__
     if meta["low"] is None and meta["high"] is None:
         return kind
-    return f"{kind} from {meta['low']} to {meta['high']}"
+    low = "" if meta["low"] is None else f" from {meta['low']}"
+    high = "" if meta["high"] is None else f" to {meta['high']}"
+    return kind + low + high
 
 
 def _descriptor(field: dataclasses.Field, default: Any) -> ParameterDescriptor:

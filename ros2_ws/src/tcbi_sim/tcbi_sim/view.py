@@ -14,6 +14,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -148,7 +149,7 @@ class _Painter:
         self._shadows = shadows
 
     def __enter__(self) -> "_Painter":
-        self._renderer = None
+        self._renderer: Any = None
         return self
 
     def __exit__(self, *_: object) -> None:
