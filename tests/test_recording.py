@@ -81,7 +81,9 @@ def test_rollouts_on_request_lose_nothing_and_repeat_bit_for_bit(start_graph, pe
         assert m.scenario.task == "balance" and m.source == "sim" and m.policy_id.startswith("gait:tripod")
         assert np.isfinite(m.distance)
         with Reader(bag) as reader:
-            assert {"/joint_states", "/imu/data", "/foot_contacts", "/joint_commands", "/rollout/event"} <= set(reader.topics)
+            assert {"/joint_states", "/imu/data", "/foot_contacts", "/joint_commands", "/rollout/event"} <= set(
+                reader.topics
+            )
     assert read_measurement(result.bags[0]).scenario.slope_roll != read_measurement(result.bags[1]).scenario.slope_roll
     status, again = Collection(peer, **goal).result()
     assert status == GoalStatus.STATUS_SUCCEEDED
@@ -109,7 +111,10 @@ def test_a_killed_recorder_loses_at_most_the_last_second(start_graph, peer, tmp_
     copy = Path(shutil.copytree(left, tmp_path / "copy" / left.name))
     repaired = read_measurement(recover(copy).bag)
     assert len(repaired.time) == len(m.time)
-    start_graph(NodeProcess("tcbi_infer", "recorder_node", name="next", parameters={"folder": str(tmp_path / "bags")}), wait=False)
+    start_graph(
+        NodeProcess("tcbi_infer", "recorder_node", name="next", parameters={"folder": str(tmp_path / "bags")}),
+        wait=False,
+    )
     final = tmp_path / "bags" / left.name.removesuffix(".recording")
     peer.wait_until((final / "metadata.yaml").is_file, "the next recorder's repair")
     assert len(read_measurement(final).time) == len(m.time)

@@ -56,7 +56,8 @@ class CollectClient:
         """
         if not self._until(self._client.server_is_ready, ready_s):
             raise RecordingError(
-                f"nobody offers {names.COLLECT_ROLLOUTS} after {ready_s:g} s; start the graph (./tcbi up), or let --robot start one"
+                f"nobody offers {names.COLLECT_ROLLOUTS} after {ready_s:g} s; start the graph (./tcbi up), "
+                "or let --robot start one"
             )
         sent = self._client.send_goal_async(_goal(request), feedback_callback=self._on_feedback)
         if not self._until(sent.done, ready_s):

@@ -3,8 +3,8 @@
     mapping = load_mapping("xl330_bench")             # a built-in mapping, or the path of a TOML file
     measurement = read_log(mapping, Path("kp100_sin_sin.json"))
 
-A log is a file, or a folder of files (say, commands and states apart). docs/bags.md describes the mapping file. Repeated
-and backward time stamps are put in order, and said, as in any bag.
+A log is a file, or a folder of files (say, commands and states apart). docs/bags.md describes the mapping file.
+Repeated and backward time stamps are put in order, and said, as in any bag.
 """
 
 import csv
@@ -167,8 +167,8 @@ def _rows(tables: _Tables, signal: Signal, mapping: Mapping) -> np.ndarray:
         values = np.stack([_numbers(tables, signal, name) for name in signal.columns], axis=-1)
     if values.shape[1] != len(mapping.joints):
         raise MappingError(
-            f"{tables.log}: {signal.columns[0]} gives {values.shape[1]} values, the mapping names {len(mapping.joints)} "
-            "joints; list the joints in the log's order, or choose values with `pick`"
+            f"{tables.log}: {signal.columns[0]} gives {values.shape[1]} values, the mapping names "
+            f"{len(mapping.joints)} joints; list the joints in the log's order, or choose values with `pick`"
         )
     return values * np.asarray(signal.scale) + np.asarray(signal.offset)
 

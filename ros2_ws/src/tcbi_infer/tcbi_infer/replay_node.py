@@ -33,7 +33,7 @@ class ReplayParameters:
     bag: str = parameter("", "bag folder or .mcap file to play")
     rate: float = parameter(1.0, "speed; 2 is twice as fast as recorded", low=0.01, high=1000.0)
     loop: bool = parameter(False, "start again at the end, the clock going on")
-    topics: list[str] = parameter([""], "relative names of the topics to play; empty for all")
+    topics: str = parameter("", "relative names of the topics to play, with spaces between; empty for all")
     wait_for: int = parameter(0, "subscribers of joint_states to wait for before the start", low=0, high=100)
     wait_timeout_s: float = parameter(20.0, "how long to wait for them", low=0.0, high=3600.0)
     publish_clock: bool = parameter(True, "publish /clock")
@@ -47,14 +47,15 @@ class ReplayNode(Node):
         self.values = declare(self, ReplayParameters)
         if not self.values.bag:
             raise BagError("parameter bag: nothing to play; give a bag's folder or an .mcap file")
-        self.schedule = schedule(Path(self.values.bag), tuple(t for t in self.values.topics if t))
+        self.schedule = schedule(Path(self.values.bag), tuple(self.values.topics.split()))
         for note in self.schedule.notes:
             self.get_logger().warning(note)
         if self.schedule.others:
             self.get_logger().warning(f"not played, being no topics of the contract: {', '.join(self.schedule.others)}")
         self._publishers_of: dict[str, Any] = {name: self._publisher(name) for name in self.schedule.topics}
-        clock = self.values.publish_clock
-        self._clock = self.create_publisher(ClockMessage, "/clock", messages.STREAM_QOS) if clock else None
+        self._clock_publisher: Any = None
+        if self.values.publish_clock:
+            self._clock_publisher = self.create_publisher(ClockMessage, "/clock", messages.STREAM_QOS)
         self.published = 0
         self.finished = False
         self._next = 0
@@ -104,9 +105,9 @@ class ReplayNode(Node):
     def _tell(self, now: int, step: int = 0) -> None:
         """/clock, at least `step` ns after the last one."""
         stamp = now + self._shift
-        if self._clock is not None and stamp > self._told + step:
+        if self._clock_publisher is not None and stamp > self._told + step:
             self._told = stamp
-            self._clock.publish(ClockMessage(clock=messages.to_stamp(stamp)))
+            self._clock_publisher.publish(ClockMessage(clock=messages.to_stamp(stamp)))
 
     def _end(self) -> None:
         self.get_logger().info(f"played {self.published} messages")

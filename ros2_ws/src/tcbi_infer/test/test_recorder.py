@@ -153,19 +153,19 @@ def test_a_full_disk_keeps_what_was_written_and_frees_the_recorder(folder, monke
 
 def test_a_disk_that_takes_half_a_write_leaves_whole_records(tmp_path):
     """A real limit of the kernel (RLIMIT_FSIZE), in a process of its own: part of a write reaches the file."""
-    script = """
+    script = f"""
 import resource, signal, sys
 from pathlib import Path
-sys.path[:0] = {path!r}
+sys.path[:0] = {sys.path!r}
 from test_recorder import Feed, rollout, Recorder, RecordingFolder, RecordingError
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 try:
-    Feed(rollout(samples=3000)).record(Recorder(), RecordingFolder(Path({folder!r})))
+    Feed(rollout(samples=3000)).record(Recorder(), RecordingFolder(Path({str(tmp_path)!r})))
 except RecordingError as error:
     print(error)
     sys.exit(7)
-""".format(path=sys.path, folder=str(tmp_path))
+"""
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 7, done.stderr
     assert "File too large" in done.stdout

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         "bag": str(args.bag),
         "rate": float(args.rate),
         "loop": args.loop,
-        "topics": args.topics or [""],
+        "topics": " ".join(args.topics),
         "wait_for": args.wait_for,
         "publish_clock": not args.no_clock,
     }
