@@ -1,6 +1,7 @@
 """The laboratory around an emulated robot: a tracker on `tracker/pose`, and hands on the service `place_robot`.
 
-Before a rollout a recorder calls `place_robot` where that service exists, as it would ask a person where it does not.
+Where that service exists, a recorder calls it once `reset_episode` has brought the robot into its posture; where it
+does not, a person tilts the ground. The answer comes when the robot has come to rest; its stamp is that of the rest.
 """
 
 import sys
@@ -12,6 +13,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
+from rclpy.task import Future
 
 from tcbi_bringup.emulated_robot.errors import EmulatedRobotError
 from tcbi_bringup.emulated_robot.experimenter import ExperimenterClient, checked, default_socket_path
@@ -33,6 +35,7 @@ class Parameters:
     rate_hz: float = parameter(50.0, "poses a second", 1.0, 200.0)
     position_noise_m: float = parameter(0.001, "standard deviation of the tracker's position", 0.0, 1.0)
     orientation_noise_rad: float = parameter(0.002, "standard deviation of the tracker's orientation", 0.0, 1.0)
+    settle_s: float = parameter(1.0, "how long a robot that was put down comes to rest, s", 0.0, 10.0)
     seed: int = parameter(0, "of the tracker's noise", 0)
 
 
@@ -70,7 +73,14 @@ class ExperimenterNode(Node):
         )
         return turned / np.linalg.norm(turned)
 
-    def _place(self, request: ResetEpisode.Request, response: ResetEpisode.Response) -> ResetEpisode.Response:
+    async def _rest(self) -> None:
+        """Let the robot come to rest, while the tracker goes on."""
+        rested = Future()
+        timer = self.create_timer(max(self.parameters.settle_s, 1e-3), lambda: rested.done() or rested.set_result(None))
+        await rested
+        self.destroy_timer(timer)
+
+    async def _place(self, request: ResetEpisode.Request, response: ResetEpisode.Response) -> ResetEpisode.Response:
         blocks = tuple(
             Box((b.center.x, b.center.y, b.center.z), (b.size.x, b.size.y, b.size.z), b.yaw) for b in request.blocks
         )
@@ -80,7 +90,8 @@ class ExperimenterNode(Node):
         except EmulatedRobotError as error:
             response.success, response.message = False, str(error)
             return response
-        response.success = True
+        await self._rest()
+        response.success, response.stamp = True, self._now()
         response.message = (
             f"ground tilted by roll {request.slope_roll:.3f} and pitch {request.slope_pitch:.3f} rad with "
             f"{len(blocks)} blocks; the robot stands at its origin in its present posture"
