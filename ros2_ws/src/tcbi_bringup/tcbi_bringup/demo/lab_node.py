@@ -1,7 +1,7 @@
 """The demo's hands on the running graph: its actions and services, called one after the other.
 
-    with laboratory(domain_id) as lab:
-        bags = lab.collect("balance", "gait:steps", number=2, seed=1)
+with laboratory(domain_id) as lab:
+    bags = lab.collect("balance", "gait:steps", number=2, seed=1)
 """
 
 import contextlib

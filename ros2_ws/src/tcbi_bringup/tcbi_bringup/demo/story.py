@@ -16,7 +16,7 @@ from tcbi_bringup.demo.plan import Plan
 from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
-from tcbi_infer.diagnose.adding import adopted
+from tcbi_infer.diagnose.adopt import adopt
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
 from tcbi_infer.posterior import updated
@@ -159,7 +159,9 @@ class Story:
                 model.version,
                 self.plan.training_s,
                 self.robot.seed,
-                lambda f: advance(done=max(0.0, self.plan.training_s - f.remaining_s), note=f"return {f.mean_return:.0f}"),
+                lambda f: advance(
+                    done=max(0.0, self.plan.training_s - f.remaining_s), note=f"return {f.mean_return:.0f}"
+                ),
             )
         self.say(result.message)
 
@@ -220,7 +222,7 @@ class Story:
     def _add(self, model: Model, diagnosis: Diagnosis) -> Model:
         """The next version: with the effect that the verdict names, or the base model at its fitted parameters."""
         use = diagnosis.uses[0] if diagnosis.verdict == EFFECT else ""
-        saved = self.out.store.save(adopted(model, diagnosis, use))
+        saved = self.out.store.save(adopt(model, use, diagnosis.to_json()))
         self.out.models.append(saved)
         what = f"has {use}" if use else "keeps its effects, with fitted parameters"
         values = ", ".join(f"{p.name} {v:.3g} {p.unit}" for p, v in zip(saved.parameters, saved.mean(), strict=True))
