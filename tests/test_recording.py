@@ -1,5 +1,6 @@
 """The recorder in a graph: rollouts on request, the same bits twice, a kill, a second recorder, a replay."""
 
+import resource
 import shutil
 import signal
 from pathlib import Path
@@ -166,6 +167,28 @@ def test_no_room_on_the_disk_aborts_with_one_line_and_shows_in_diagnostics(start
         return any(s.level == DiagnosticStatus.ERROR and "make room" in s.message for s in states)
 
     peer.wait_until(shown, "the error in diagnostics")
+
+
+def test_a_disk_that_fills_up_in_a_rollout_costs_its_end_alone(start_graph, peer, tmp_path):
+    graph = start_graph(*simulation(tmp_path), recorder(tmp_path / "bags"))
+    status, before = Collection(peer, task="balance", number=1, seed=1).result()
+    assert status == GoalStatus.STATUS_SUCCEEDED
+    events = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
+    health = peer.collect(names.DIAGNOSTICS, DiagnosticArray, messages.STREAM_QOS)
+    pid = next(s.pid for s in graph.status() if s.name == "recorder_node")
+    unlimited = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (100_000, unlimited[1]))  # a disk with this much room
+    status, result = Collection(peer, task="balance", number=2, seed=2).result()
+    assert status == GoalStatus.STATUS_ABORTED and "cannot be written any more (File too large)" in result.message
+    peer.wait_until(lambda: bool(events) and events[-1].kind == RolloutEvent.ABORT, "ABORT")
+    levels = [s.level for array in health for s in array.status if s.name.startswith("recorder_node")]
+    assert DiagnosticStatus.ERROR in levels
+    part = read_measurement(tmp_path / "bags" / events[-1].rollout_id)
+    assert 0.5 < part.time[-1] < 8.0
+    assert len(read_measurement(before.bags[0]).time) == 401
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, unlimited)  # somebody made room
+    status, result = Collection(peer, task="balance", number=1, seed=3).result()
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
 
 
 def test_another_programs_events_are_recorded_too(start_graph, peer, tmp_path):
