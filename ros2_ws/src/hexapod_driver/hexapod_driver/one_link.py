@@ -31,7 +31,7 @@ class OneLink(Wire):
 
     def _submit(self, request: Request) -> None:
         if request.replies:
-            request.deadline = time.monotonic() + self.reply_timeout_s
+            request.deadline = time.monotonic() + request.timeout_s
             self._pending[request.tag] = request
         self.send_board(Kind.SERVO, sensor_board.servo_payload(request.tag, request.replies, request.packet))
 

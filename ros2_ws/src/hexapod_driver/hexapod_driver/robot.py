@@ -223,7 +223,7 @@ class Robot:
             self.health.incomplete_reads += 1
             return
         position = tuple(self._calibration.to_radian(name, sound[servo]) for servo, name in self._names.items())
-        self._safety.measured(time.monotonic(), position)
+        self._safety.measured(time.monotonic() - self.wire.age_s(reply.stamp_ns), position)
         self.health.joint_readings += 1
         self._sink(JointReading(reply.stamp_ns, position))
 

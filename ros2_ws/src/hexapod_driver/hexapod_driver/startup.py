@@ -9,8 +9,8 @@ from hexapod_driver.sensor_board import Feature, FrameError, Identity, Kind
 from hexapod_driver.wire import Wire
 
 ATTEMPTS = 3
-REPLY_S = 0.15
-PINGS_S = 0.6
+REPLY_S = 0.4
+PINGS_S = 1.5
 
 
 def check(wire: Wire, calibration: Calibration) -> Identity:
@@ -35,7 +35,7 @@ def check(wire: Wire, calibration: Calibration) -> Identity:
 def _missing(wire: Wire, calibration: Calibration) -> list[str]:
     missing = list(calibration.joints)
     for _ in range(ATTEMPTS):
-        pings = {wire.submit(feetech.encode(calibration.joints[n].servo, Instruction.PING), 1): n for n in missing}
+        pings = {wire.submit(_ping(calibration, name), 1, wire.ping_timeout_s): name for name in missing}
         replies = wire.gather(pings, PINGS_S)
         for tag, name in pings.items():
             if any(p.id == calibration.joints[name].servo for p in replies.get(tag, ())):
@@ -43,6 +43,10 @@ def _missing(wire: Wire, calibration: Calibration) -> list[str]:
         if not missing:
             break
     return missing
+
+
+def _ping(calibration: Calibration, name: str) -> bytes:
+    return feetech.encode(calibration.joints[name].servo, Instruction.PING)
 
 
 def _identify(wire: Wire) -> Identity:

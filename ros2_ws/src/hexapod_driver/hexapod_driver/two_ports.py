@@ -18,6 +18,7 @@ class TwoPorts(Wire):
     """
 
     reply_timeout_s = 0.025
+    ping_timeout_s = 0.05
     most_in_flight = 3
 
     def __init__(
@@ -58,7 +59,7 @@ class TwoPorts(Wire):
         request.sent_ns = self._clock()
         self._bus.write(request.packet)
         if request.replies:
-            request.deadline = time.monotonic() + self.reply_timeout_s
+            request.deadline = time.monotonic() + request.timeout_s
             self._current = request
 
     def _wait(self, timeout_s: float) -> None:

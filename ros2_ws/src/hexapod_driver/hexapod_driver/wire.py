@@ -71,6 +71,7 @@ class Request:
     tag: int
     packet: bytes
     replies: int
+    timeout_s: float
     deadline: float = 0.0
     sent_ns: int = 0  # ROS clock
     packets: list[Packet] = field(default_factory=list)
@@ -87,8 +88,9 @@ class Wire(ABC):
       counters: faults so far.
     """
 
-    reply_timeout_s = 0.1
-    most_in_flight = 10  # questions that may wait for their answers at once
+    reply_timeout_s = 0.3
+    ping_timeout_s = 1.0
+    most_in_flight = 18  # questions that may wait for their answers at once
 
     def __init__(self, clock: Callable[[], int], wake: int | None) -> None:
         self.board_clock = BoardClock()
@@ -106,14 +108,19 @@ class Wire(ABC):
         """Frames and packets that arrived damaged."""
         return self.frames.bad + self.counters.bad_payloads
 
-    def submit(self, packet: bytes, replies: int = 0) -> int:
+    def age_s(self, stamp_ns: int) -> float:
+        """How long ago a stamp was, by the ROS clock; never negative."""
+        return max(0, self._clock() - stamp_ns) * 1e-9
+
+    def submit(self, packet: bytes, replies: int = 0, timeout_s: float | None = None) -> int:
         """Send a packet to the servo bus.
 
         Args:
           replies: how many servos will answer; a `BusReply` follows if there are any.
+          timeout_s: how long to wait for them; `reply_timeout_s` if not given.
         """
         self._tag = (self._tag + 1) & 0xFFFF
-        self._submit(Request(self._tag, packet, replies))
+        self._submit(Request(self._tag, packet, replies, timeout_s or self.reply_timeout_s))
         return self._tag
 
     def send_board(self, kind: Kind, payload: bytes = b"") -> None:

@@ -96,7 +96,9 @@ def test_the_makers_client_moves_servos_with_a_sync_write(client: tuple, body: S
     for servo in (1, 10):
         assert write.addParam(servo, [0, 0x64, 0x08, 200, 0, 0xF4, 0x01])  # step 2148 in 200 ms, 500 steps/s
     assert write.txPacket() == 0
-    assert packets.read2ByteTxRx(port, 1, 56)[0] == 2148
+    deadline = time.monotonic() + 10
+    while packets.read2ByteTxRx(port, 1, 56)[0] != 2148:
+        assert time.monotonic() < deadline
     step = 2 * np.pi / 4096
     assert body.goals == [
         (0, pytest.approx(100 * step), 0.2, pytest.approx(500 * step)),

@@ -132,6 +132,22 @@ class Servo:
         return int.from_bytes(self._memory[address : address + 2], "little")
 
 
+class Present:
+    """The body and its latest state, read once for each thing that the electronics do.
+
+    Attributes:
+      state: of the last `refresh`.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.state = body.read()
+
+    def refresh(self) -> None:
+        """Read the body."""
+        self.state = self.body.read()
+
+
 class ServoBus:
     """All servos on one half-duplex line.
 
@@ -139,16 +155,20 @@ class ServoBus:
       absent: ids that do not answer, as if unplugged; may be changed at any time.
     """
 
-    def __init__(self, body: Body, calibration: Calibration, absent: Collection[int] = ()) -> None:
+    def __init__(self, present: Present, calibration: Calibration, absent: Collection[int] = ()) -> None:
         self.absent = set(absent)
-        self._body = body
+        self._present = present
         joints = calibration.joints.values()
-        self._servos = {joint.servo: Servo(index, joint, body) for index, joint in enumerate(joints)}
+        self._servos = {joint.servo: Servo(index, joint, present.body) for index, joint in enumerate(joints)}
         self._stream = PacketStream()
 
     def receive(self, data: bytes) -> bytes:
         """Bytes from the line -> what the servos answer."""
-        return b"".join(map(self._answer, self._stream.feed(data)))
+        packets = self._stream.feed(data)
+        if packets:
+            for servo in self._servos.values():
+                servo.sense(self._present.state)
+        return b"".join(map(self._answer, packets))
 
     def quiet(self) -> None:
         """The line has been quiet: an unfinished packet is none."""
@@ -160,36 +180,33 @@ class ServoBus:
             servo.power_off_torque()
 
     def _answer(self, packet: Packet) -> bytes:
-        state = self._body.read()
-        for servo in self._servos.values():
-            servo.sense(state)
-        now = state.time_s
+        now = self._present.state.time_s
         if packet.code == Instruction.SYNC_READ:
             return self._sync_read(packet.params)
         if packet.code == Instruction.SYNC_WRITE:
             self._sync_write(packet.params, now)
             return b""
         if packet.id == feetech.BROADCAST:
-            for servo in self._present(self._servos):
+            for servo in self._there(self._servos):
                 servo.execute(packet, now)
             return b""
-        return b"".join(self._reply(s, s.execute(packet, now)) for s in self._present([packet.id]))
+        return b"".join(self._reply(s, s.execute(packet, now)) for s in self._there([packet.id]))
 
     def _sync_read(self, params: bytes) -> bytes:
         if len(params) < 3:
             return b""
         address, length, *ids = params
-        return b"".join(self._reply(servo, servo.read(address, length)) for servo in self._present(ids))
+        return b"".join(self._reply(servo, servo.read(address, length)) for servo in self._there(ids))
 
     def _sync_write(self, params: bytes, now: float) -> None:
         if len(params) < 3 or (len(params) - 2) % (params[1] + 1):
             return
         address, length = params[0], params[1]
         for at in range(2, len(params), length + 1):
-            for servo in self._present([params[at]]):
+            for servo in self._there([params[at]]):
                 servo.write(address, params[at + 1 : at + 1 + length], now)
 
-    def _present(self, ids: Collection[int]) -> list[Servo]:
+    def _there(self, ids: Collection[int]) -> list[Servo]:
         return [self._servos[i] for i in ids if i in self._servos and i not in self.absent]
 
     def _reply(self, servo: Servo, params: bytes | None) -> bytes:
@@ -203,15 +220,15 @@ class SensorBoard:
       carries_bus: whether SERVO frames are forwarded; the watchdog acts on the servos either way.
     """
 
-    def __init__(self, body: Body, bus: ServoBus, carries_bus: bool, name: str = "emulated") -> None:
-        self._body, self._bus, self._carries_bus, self._name = body, bus, carries_bus, name
+    def __init__(self, present: Present, bus: ServoBus, carries_bus: bool, name: str = "emulated") -> None:
+        self._present, self._bus, self._carries_bus, self._name = present, bus, carries_bus, name
         self._stream = FrameStream()
         self._sequence = 0
         self._rate_hz = 0
         self._watchdog_s = WATCHDOG_S
         self._tripped = False
         self._next_sample = 0.0
-        self._heard = body.read().time_s
+        self._heard = present.state.time_s
         self._started = 0.0
 
     def receive(self, data: bytes) -> bytes:
@@ -220,14 +237,14 @@ class SensorBoard:
 
     def restart(self) -> None:
         """As if the reset button had been pressed: clock and sequence start again, samples stop."""
-        self._started = self._heard = self._body.read().time_s
+        self._started = self._heard = self._present.state.time_s
         self._sequence = self._rate_hz = 0
         self._watchdog_s, self._tripped = WATCHDOG_S, False
         self._stream = FrameStream()
 
     def tick(self) -> bytes:
         """A sample if one is due; and the watchdog."""
-        state = self._body.read()
+        state = self._present.state
         silence = state.time_s - self._heard
         if silence > self._watchdog_s and not self._tripped:
             self._tripped = True
@@ -244,7 +261,7 @@ class SensorBoard:
         """Seconds of the body's time until the next sample; a watchdog is looked after in between."""
         if not self._rate_hz:
             return 0.02
-        return min(max(self._next_sample - self._body.read().time_s, 0.0), 0.02)
+        return min(max(self._next_sample - self._present.state.time_s, 0.0), 0.02)
 
     def _sample(self, state: BodyState) -> Sample:
         return Sample(
@@ -257,7 +274,7 @@ class SensorBoard:
         )
 
     def _answer(self, frame: Frame) -> bytes:
-        state = self._body.read()
+        state = self._present.state
         self._heard = state.time_s
         try:
             if frame.kind == Kind.IDENTIFY:
@@ -293,7 +310,7 @@ class SensorBoard:
             return b""
         stream = PacketStream()
         complete = len(stream.feed(data)) >= replies
-        reply = ServoReply(tag, self._time_us(self._body.read()), complete, data)
+        reply = ServoReply(tag, self._time_us(self._present.state), complete, data)
         return self._send(Kind.SERVO_REPLY, sensor_board.servo_reply_payload(reply))
 
     def _send(self, kind: Kind, payload: bytes) -> bytes:
@@ -318,15 +335,18 @@ class Electronics:
         if ports not in (1, 2):
             raise ValueError(f"ports of the emulated robot: got {ports}, allowed is 1 or 2")
         self.ports, self.board_port = ports, ports - 1
-        self.bus = ServoBus(body, calibration, absent)
-        self.board = SensorBoard(body, self.bus, carries_bus=ports == 1)
+        self._present = Present(body)
+        self.bus = ServoBus(self._present, calibration, absent)
+        self.board = SensorBoard(self._present, self.bus, carries_bus=ports == 1)
 
     def receive(self, port: int, data: bytes) -> bytes:
         """Bytes that came in on `port` -> the answer on the same port."""
+        self._present.refresh()
         return self.board.receive(data) if port == self.board_port else self.bus.receive(data)
 
     def tick(self) -> bytes:
         """What the board sends by itself."""
+        self._present.refresh()
         return self.board.tick()
 
     def due_in_s(self) -> float:
