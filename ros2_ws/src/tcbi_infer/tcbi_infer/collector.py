@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 NO_POLICY = "none"
 CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more means that they are different clocks
 FEEDBACK_S = 0.5  # wall time
+RESETS, PAUSE_S = 4, 1.5  # a real robot may be connecting still, or have missed a reply: tried so often, so far apart
 
 
 class CancelledError(TcbiError):
@@ -210,6 +211,9 @@ class Collector:
     # -- the other nodes ------------------------------------------------------------------------------------------
 
     async def _call(self, client: Any, request: Any, what: str, who: str) -> Any:
+        return _succeeded(await self._answer(client, request, what, who), what)
+
+    async def _answer(self, client: Any, request: Any, what: str, who: str) -> Any:
         timeout_s = self.node.values.service_timeout_s
         if not await Until(client.service_is_ready, timeout_s):
             raise RecordingError(f"nobody offers {what} after {timeout_s:g} s; start {who}")
@@ -217,10 +221,7 @@ class Collector:
         if not await Until(future.done, timeout_s):
             client.remove_pending_request(future)
             raise RecordingError(f"{what} was not answered within {timeout_s:g} s; look at the log of {who}")
-        response = future.result()
-        if not response.success:
-            raise RecordingError(f"{what} failed: {response.message}")
-        return response
+        return future.result()
 
     async def _reset_episode(self, scenario: Scenario, model: str) -> Any:
         request = ResetEpisode.Request(
@@ -233,6 +234,12 @@ class Collector:
             model=model,
             duration=scenario.duration,
         )
+        for _ in range(RESETS - 1):
+            response = await self._answer(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
+            if response.success or response.source == "sim":
+                return _succeeded(response, names.RESET_EPISODE)
+            self.node.get_logger().warning(f"the robot is not ready ({response.message}); it is tried again")
+            await Until(lambda: False, PAUSE_S)
         return await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
 
     async def _policy(self, request: Request) -> str:
@@ -262,6 +269,12 @@ class Collector:
                 f"the robot's clock and the recorder's are {apart:.0f} s apart; start both with the same use_sim_time"
             )
         return int(told)
+
+
+def _succeeded(response: Any, what: str) -> Any:
+    if not response.success:
+        raise RecordingError(f"{what} failed: {response.message}")
+    return response
 
 
 def _request(goal: Any) -> Request:
