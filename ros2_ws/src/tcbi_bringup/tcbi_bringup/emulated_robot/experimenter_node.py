@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -48,7 +49,8 @@ class ExperimenterNode(Node):
         self._client = ExperimenterClient(Path(self.parameters.socket or default_socket_path()))
         self._rng = np.random.default_rng(self.parameters.seed)
         self._publisher = self.create_publisher(PoseStamped, TRACKER_POSE, STREAM_QOS)
-        self.create_service(ResetEpisode, PLACE_ROBOT, self._place)
+        own_group = ReentrantCallbackGroup()  # waits inside its callback while the timers go on
+        self.create_service(ResetEpisode, PLACE_ROBOT, self._place, callback_group=own_group)
         self.create_timer(1.0 / self.parameters.rate_hz, self._track)
 
     def _now(self) -> Time:
