@@ -20,8 +20,9 @@ from std_msgs.msg import Float64
 from tcbi_contract import names
 from tcbi_infer.collection import Request
 from tcbi_infer.errors import RecordingError
-from tcbi_infer.names import DISTANCE
+from tcbi_infer.names import DISTANCE, PLACE_ROBOT
 from tcbi_msgs.action import CollectRollouts
+from tcbi_msgs.srv import ResetEpisode
 
 CANCEL_S = 15.0
 
@@ -37,6 +38,7 @@ class CollectClient:
     def __init__(self, domain_id: int | None = None, namespace: str = "") -> None:
         self.on_progress: Callable[[int, str, float], None] = lambda *_: None
         self.on_distance: Callable[[str], float] | None = None
+        self._on_place: Callable[[Any], None] | None = None
         self._asked: set[str] = set()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain_id)
@@ -47,6 +49,17 @@ class CollectClient:
         self._executor.add_node(self._node)
         self._client = ActionClient(self._node, CollectRollouts, names.COLLECT_ROLLOUTS)
         self._distance = self._node.create_publisher(Float64, DISTANCE, 10)
+
+    def offer_place(self, on_place: Callable[[Any], None]) -> None:
+        """Place the robot before each rollout: `on_place` gets slopes (rad) and blocks, and returns when it is done."""
+        self._on_place = on_place
+        self._node.create_service(ResetEpisode, PLACE_ROBOT, self._place)
+
+    def _place(self, request: ResetEpisode.Request, response: ResetEpisode.Response) -> ResetEpisode.Response:
+        assert self._on_place is not None
+        self._on_place(request)
+        response.success = True
+        return response
 
     def collect(self, request: Request, ready_s: float = 40.0) -> tuple[Any, bool]:
         """Wait for the recorder, send the goal, wait for its end; returns the result and whether all went well.

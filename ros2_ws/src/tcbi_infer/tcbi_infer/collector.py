@@ -20,6 +20,7 @@ from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.bags.note import write_note
 from tcbi_infer.collection import Request, check, rollout_id, scenario_of, travelled
 from tcbi_infer.errors import RecordingError
+from tcbi_infer.names import PLACE_ROBOT
 from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import Block, RolloutEvent
 from tcbi_msgs.srv import LoadPolicy, ResetEpisode
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 NO_POLICY = "none"
 CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more means that they are different clocks
 FEEDBACK_S = 0.5  # wall time
+HANDS_S = 2.0  # to discover whether somebody places the robot
 RESETS, PAUSE_S = 4, 1.5  # a real robot may be connecting still, or have missed a reply: tried so often, so far apart
 
 
@@ -59,7 +61,9 @@ class Collector:
         self.node = node
         self.busy = False
         self._rollout_id = ""
+        self._hands_s = HANDS_S
         self._reset = node.create_client(ResetEpisode, names.RESET_EPISODE)
+        self._place = node.create_client(ResetEpisode, PLACE_ROBOT)
         self._load = node.create_client(LoadPolicy, names.LOAD_POLICY)
         self._enable = node.create_client(SetBool, names.ENABLE_POLICY)
 
@@ -237,10 +241,31 @@ class Collector:
         for _ in range(RESETS - 1):
             response = await self._answer(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
             if response.success or response.source == "sim":
-                return _succeeded(response, names.RESET_EPISODE)
+                return await self._placed(_succeeded(response, names.RESET_EPISODE), request)
             self.node.get_logger().warning(f"the robot is not ready ({response.message}); it is tried again")
             await Until(lambda: False, PAUSE_S)
-        return await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
+        response = await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
+        return await self._placed(response, request)
+
+    async def _placed(self, reset: Any, request: Any) -> Any:
+        """Have the ground set where the robot cannot do it itself; the answer's stamp is the rollout's zero then."""
+        if reset.source == "sim":
+            return reset
+        if not await Until(self._place.service_is_ready, self._hands_s):
+            self._hands_s = 0.0  # nobody is there; do not wait again
+            self.node.get_logger().warning(
+                f"nobody offers {PLACE_ROBOT}: {reset.message or 'the ground is taken as it is'}"
+            )
+            return reset
+        future = self._place.call_async(request)
+        if not await Until(future.done, self.node.values.place_timeout_s):
+            raise RecordingError(f"{PLACE_ROBOT} was not answered within {self.node.values.place_timeout_s:g} s")
+        placed = _succeeded(future.result(), PLACE_ROBOT)
+        if placed.stamp.sec or placed.stamp.nanosec:
+            reset.stamp = placed.stamp
+        else:
+            reset.stamp = self.node.get_clock().now().to_msg()
+        return reset
 
     async def _policy(self, request: Request) -> str:
         """Load the wanted policy, off for now; returns the name of the one that will act."""

@@ -50,6 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ask-distance", action="store_true", help="ask for the distance after each rollout (no tracker)"
     )
+    parser.add_argument(
+        "--place", action="store_true", help="say what ground to set before each rollout, and wait for Enter"
+    )
     parser.add_argument("--namespace", default="", help="of the graph")
     console.add_store(parser)
     console.add_json(parser)
@@ -142,8 +145,25 @@ def _ask(args: argparse.Namespace, domain: int, request: Any, advance: Any) -> t
     with CollectClient(domain, args.namespace) as client:
         if args.ask_distance:
             client.on_distance = _ask_distance
+        if args.place:
+            client.offer_place(_place)
         client.on_progress = lambda done, name, left: advance(done=done, note=f"{name}, {left:.0f} s left")
         return client.collect(request, READY_S)
+
+
+def _place(request: Any) -> None:
+    """Tell the operator which ground to set."""
+    console.note(
+        f"ground: roll {math.degrees(request.slope_roll):.1f}, pitch {math.degrees(request.slope_pitch):.1f} degrees"
+    )
+    for block in request.blocks:
+        c, s = block.center, block.size
+        console.note(
+            f"  block {s.x:.2f} x {s.y:.2f} x {s.z:.2f} m, its middle {c.x:.2f} m ahead and {c.y:.2f} m to the left, "
+            f"turned by {math.degrees(block.yaw):.0f} degrees"
+        )
+    print("place the robot, then press Enter: ", end="", file=sys.stderr, flush=True)
+    sys.stdin.readline()
 
 
 def _ask_distance(rollout_id: str) -> float:
