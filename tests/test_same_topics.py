@@ -142,7 +142,7 @@ def check_stream(listener: Listener, topic: str) -> None:
     """Stamps increase strictly, at 50 Hz, and say when it was measured: before it arrived, and not long before."""
     stamps = np.array([stamp(m) for m in listener.seen[topic]])
     assert all(b > a for a, b in itertools.pairwise(stamps)), topic
-    assert 45 < (len(stamps) - 1) / (stamps[-1] - stamps[0]) < 55, topic
+    assert 0.018 < np.median(np.diff(stamps)) < 0.022, topic
     age = np.array(listener.arrived[topic]) - stamps
     assert age.min() > -0.025, topic  # the sim's grid may run ahead of its delivery by less than a sample
     assert np.median(age) < 0.1, topic
@@ -181,24 +181,32 @@ def motion() -> np.ndarray:
 
 
 def test_the_same_commands_to_the_same_physics_give_the_same_recording(start_graph, peer, port, tmp_path):
-    recordings = {}
-    targets = motion()
+    recordings, sent, targets = {}, {}, motion()
     for node in NODES:
         graph = start_graph(process(node, port, tmp_path / "store"))
         listener = Listener(peer)
-        listener.reset()
-        listener.clear()
-        sent = listener.play(targets)
-        last = sent[-1] + 0.1
-        peer.wait_until(lambda seen=listener.seen, last=last: stamp(seen[names.IMU][-1]) > last, "the last samples")
-        recordings[node] = series(listener, sent[0])
+        for _ in range(4):
+            jumps = clock_jumps(listener)
+            listener.reset()
+            listener.clear()
+            sent[node] = listener.play(targets)
+            last = sent[node][-1] + 0.3
+            peer.wait_until(lambda seen=listener.seen, last=last: stamp(seen[names.IMU][-1]) > last, "the last samples")
+            peer.wait_until(lambda seen=listener.seen: len(seen[names.DIAGNOSTICS]) >= 2, "diagnostics")
+            if clock_jumps(listener) == jumps:  # else this machine was too busy for real time
+                break
+        recordings[node] = series(listener)
         graph.stop(node)
         for subscription in list(peer.node.subscriptions):
             peer.node.destroy_subscription(subscription)
-    grid = np.arange(0.1, len(targets) * 0.2 - 0.15, 0.02)
-    sim, driver = recordings["sim_node"], recordings["driver_node"]
-    lag = min(np.arange(-0.1, 0.1, 0.001), key=lambda x: rms(at(driver, "joints", grid + x) - at(sim, "joints", grid)))
-    assert abs(lag) < 0.08  # of the wire and of both nodes' loops
+    # compared at the same times since each command, for no two runs send them at quite the same times
+    grid = {node: (sent[node][:-1, None] + np.arange(0.02, 0.2, 0.02)).ravel() for node in NODES}
+
+    def difference(signal: str, lag: float) -> np.ndarray:
+        driver = at(recordings["driver_node"], signal, grid["driver_node"] + lag)
+        return driver - at(recordings["sim_node"], signal, grid["sim_node"])
+
+    lag = min(np.arange(-0.15, 0.15, 0.001), key=lambda x: rms(difference("joints", x)))
     noise = load_rig("hexapod").noise
     steps = noise.encoder_step / np.sqrt(12)
     for signal, sd in (
@@ -206,20 +214,24 @@ def test_the_same_commands_to_the_same_physics_give_the_same_recording(start_gra
         ("rates", noise.angular_velocity),
         ("forces", noise.linear_acceleration),
     ):
-        difference = at(driver, signal, grid + lag) - at(sim, signal, grid)
-        assert rms(difference) < 2.5 * np.sqrt(2) * sd, (
-            f"{signal}: {rms(difference):.4f}, noise {sd:.4f}, lag {lag:.3f}"
-        )
-    moved = at(sim, "joints", grid)
+        seen = rms(difference(signal, lag))
+        assert seen < 2.0 * np.sqrt(2) * sd, f"{signal}: {seen:.4f}, noise {sd:.4f}, lag {lag:.3f} s"
+    moved = at(recordings["sim_node"], "joints", grid["sim_node"])
     assert np.ptp(moved, axis=0).min() > 0.05, "every joint moved, so that agreement means something"
 
 
-def series(listener: Listener, zero: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """(time since the first command, values) of each signal."""
+def clock_jumps(listener: Listener) -> str:
+    """How often the sim node has lost its real time, as it says itself; nothing of the driver's."""
+    said = {v.key: v.value for status in listener.seen[names.DIAGNOSTICS][-1].status for v in status.values}
+    return said.get("clock jumps", "")
+
+
+def series(listener: Listener) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """(time in s, values) of each signal."""
     imu, joints = listener.seen[names.IMU], listener.seen[names.JOINT_STATES]
-    times = np.array([stamp(m) for m in imu]) - zero
+    times = np.array([stamp(m) for m in imu])
     return {
-        "joints": (np.array([stamp(m) for m in joints]) - zero, np.array([m.position for m in joints])),
+        "joints": (np.array([stamp(m) for m in joints]), np.array([m.position for m in joints])),
         "rates": (times, np.array([[v.x, v.y, v.z] for v in (m.angular_velocity for m in imu)])),
         "forces": (times, np.array([[v.x, v.y, v.z] for v in (m.linear_acceleration for m in imu)])),
     }
