@@ -10,10 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -28,6 +26,7 @@ from hexapod_driver.robot import Done, Robot
 from tcbi_contract import messages, names, safety
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.parameters import ParameterError, declare, parameter
+from tcbi_contract.running import run
 from tcbi_contract.safety import CommandRefused
 from tcbi_msgs.msg import FootContacts
 from tcbi_msgs.srv import ResetEpisode
@@ -86,14 +85,15 @@ class DriverNode(Node):
         self._refused, self._last_refusal = 0, ""
         self._make_publishers()
         self.link = Link(self.parameters.link_settings(), self._take, self._now, self.get_logger().warning)
-        self.link.connect()
         self._make_inputs()
+        self.link.connect()
         self.link.start()
         self.get_logger().info(f"robot on {self.parameters.port} is ready and limp")
 
-    def close(self) -> None:
-        """Torque off, port closed."""
+    def destroy_node(self) -> None:
+        """Torque off, port closed, and then the node's end."""
         self.link.close()
+        super().destroy_node()
 
     def _make_publishers(self) -> None:
         qos = messages.STREAM_QOS
@@ -214,22 +214,7 @@ class DriverNode(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until Ctrl-C; exit status 1 with one line where it cannot start."""
-    node: DriverNode | None = None
-    rclpy.init(args=args)
-    try:
-        node = DriverNode()
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
-    except TcbiError as error:
-        sys.stderr.write(f"driver_node: {error}\n")
-        return 1
-    finally:
-        if node is not None:
-            node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
+    return run("driver_node", DriverNode, args)
 
 
 if __name__ == "__main__":

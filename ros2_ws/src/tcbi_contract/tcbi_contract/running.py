@@ -10,9 +10,12 @@ from collections.abc import Callable, Sequence
 import rclpy
 from rclpy.exceptions import InvalidParameterException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from tcbi_contract.errors import TcbiError
+
+RCLError = rclpy_implementation.RCLError  # rclpy gives it no public name
 
 
 def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, threads: int = 1) -> int:
@@ -36,6 +39,9 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RCLError:
+        if rclpy.ok():
+            raise  # else a signal has ended the context between two steps of the executor
     except (TcbiError, InvalidParameterException, InvalidParameterValueException) as error:
         sys.stderr.write(f"{name}: {' '.join(str(error).split())}\n")
         return 1
