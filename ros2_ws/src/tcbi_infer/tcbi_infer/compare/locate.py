@@ -162,7 +162,7 @@ def _joint_cells(
             if here < 1.15 * there or over < 1.5:
                 continue
             names = tuple(layout.joint_names[j] for j in members)
-            shape = describe_shape(errors[cell], velocity[cell])
+            shape = describe_shape(errors[cell], velocity[cell], plural=len(names) > 1)
             who = _who(label, names)
             text = f"{who} {shape} {phase}".strip() + (
                 f": {here:.2f} deg, {over:.1f} times the noise floor, against {there:.2f} deg elsewhere."
@@ -177,32 +177,34 @@ def _stack_phases(rig: Rig, measurements: Sequence[Measurement], time: np.ndarra
     return {name: np.stack([masks.get(name, np.zeros(shape, bool)) for masks in each]) for name in names}
 
 
-def describe_shape(error: np.ndarray, velocity: np.ndarray) -> str:
+def describe_shape(error: np.ndarray, velocity: np.ndarray, plural: bool = False) -> str:
     """What the error looks like: a lag, an offset, or neither.
 
     Args:
       error: (n,) deg, measured less predicted.
       velocity: (n,) deg/s, of the prediction.
+      plural: of the verb.
     """
     design = np.stack([np.ones_like(velocity), -velocity], axis=-1)
     coefficients = np.linalg.lstsq(design, error, rcond=None)[0]
     total = float(np.mean(error**2))
     offset, lag = float(coefficients[0]), float(coefficients[1])
     by_offset, by_lag = offset**2 / total, lag**2 * float(np.mean(velocity**2)) / total
+    end = "" if plural else "s"
     if by_lag > 0.4 and by_lag > by_offset:
-        word = "lags" if lag > 0 else "leads"
-        return f"{word} the prediction by {1000 * abs(lag):.0f} ms"
+        return f"{'lag' if lag > 0 else 'lead'}{end} the prediction by {1000 * abs(lag):.0f} ms"
     if by_offset > 0.4:
-        return f"sits {abs(offset):.1f} deg too {'high' if offset > 0 else 'low'}"
-    return "departs from the prediction"
+        return f"sit{end} {abs(offset):.1f} deg {'above' if offset > 0 else 'below'} the prediction"
+    return f"depart{end} from the prediction"
 
 
 def _who(label: str, names: Sequence[str]) -> str:
+    """The subject of a sentence; plural unless it is a single joint."""
     if not label:
-        return "The average joint"
+        return "All joints together"
     if len(names) == 1:
         return f"The joint {names[0]}"
-    return f"On average a joint of the group {label!r}"
+    return f"The joints of the {label}" if label.endswith("leg") else f"The {label}"
 
 
 def _body_findings(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> list[Finding]:

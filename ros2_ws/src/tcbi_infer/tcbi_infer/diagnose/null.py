@@ -9,6 +9,7 @@ search is run on each.
 import dataclasses
 
 import numpy as np
+from scipy import stats
 
 from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.problem import Problem
@@ -16,7 +17,6 @@ from tcbi_infer.diagnose.screen import Screen, paired_statistic
 
 DRAWS = 300
 LEVEL = 0.95
-DISCREPANCY_SHARE = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Null:
     """What searching finds where nothing is missing.
 
     Attributes:
-      threshold: 95 % point of the largest statistic over all candidates.
+      threshold: 95 % point of the largest statistic over all candidates, and at least that of a single t test.
       maxima: (D,) the largest statistic of each null data set.
-      false_alarm: share of null data sets above the threshold, by construction about 5 %.
+      kinds: of motion.
     """
 
     threshold: float
@@ -86,8 +86,11 @@ def simulate_null(
         scatter = rng.normal(size=(count, nuisance.effect.shape[-1]))
         data += np.einsum("stcq,dq->dstc", nuisance.effect[sets], scatter, optimize=True)
         signs = rng.choice([-1.0, 1.0], size=(count, int(kinds.max()) + 1))[:, kinds]
-        data += signs[:, :, None, None] * leftover * DISCREPANCY_SHARE
+        data += signs[:, :, None, None] * leftover
+        data *= screen.unit_scale(data)[:, None, None, None]
         gains = screen.held_out(screen.targets(data))
         maxima.extend(paired_statistic(gains).max(axis=0))
     values = np.array(maxima)
-    return Null(float(np.quantile(values, LEVEL)), values, len(screen.folds))
+    kinds_count = len(screen.folds)
+    single = float(stats.t.ppf(LEVEL, max(kinds_count - 1, 1)))
+    return Null(max(float(np.quantile(values, LEVEL)), single), values, kinds_count)

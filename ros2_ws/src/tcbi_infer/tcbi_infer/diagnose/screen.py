@@ -166,6 +166,7 @@ class Screen:
         count = len(self.sets)
         fitter = Fitter(problem, base.model, nuisance, sets, timestep=0.0)
         self.precision = fitter.precision(base.residual, base.scale, base.bend).reshape(count, -1)
+        self.independent = float((problem.weight[self.sets] * problem.share[problem.group]).sum())
         design = np.concatenate([base.jacobian, nuisance.effect[self.sets]], axis=-1)
         self.design = design.reshape(count, -1, design.shape[-1])
         self.change = directions.change.reshape(len(directions.change), count, -1)
@@ -188,6 +189,12 @@ class Screen:
             np.einsum("sin,dsi->snd", self.design, flat, optimize=True),
             np.einsum("ksi,dsi->skd", self.change, flat, optimize=True),
         )
+
+    def unit_scale(self, residuals: np.ndarray) -> np.ndarray:
+        """(D,) factors that bring (D, S, T, C) residuals to the scale that a fit of them would have estimated."""
+        flat = residuals.reshape(len(residuals), len(self.sets), -1)
+        squares = np.einsum("dsi,dsi,si->d", flat, flat, self.precision, optimize=True)
+        return np.sqrt(self.independent / np.maximum(squares, 1e-12))
 
     def solve(self, targets: Targets, train: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Least squares on some sets, along each direction.

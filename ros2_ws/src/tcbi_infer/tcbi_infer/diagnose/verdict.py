@@ -78,7 +78,8 @@ def rule(ranking: Sequence[Evidence], base_error: float, unexplained_limit: floa
             OUTSIDE_LIBRARY,
             (),
             "Something is missing that the library does not hold: the base model errs by "
-            f"{base_error:.1f} times the noise floor, and the best candidate ({best.use}) explains only {100 * max(explained, 0):.0f} % of the excess.",
+            f"{base_error:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
+            f"{100 * max(explained, 0):.0f} % of the excess.",
         )
     equal = rivals(best, accepted[1:])
     caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
@@ -105,8 +106,8 @@ def _none_accepted(ranking: Sequence[Evidence], base_error: float, limit: float,
         return Ruling(
             OUTSIDE_LIBRARY,
             (),
-            f"The refitted model errs by {base_error:.1f} times the noise floor, and no effect of the library explains it."
-            f"{hint}",
+            f"The refitted model errs by {base_error:.1f} times the noise floor, and no effect of the library "
+            f"explains it.{hint}",
         )
     few = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion small effects cannot be seen."
     return Ruling(

@@ -1,0 +1,67 @@
+"""`./tcbi compare`: the error of a model on bags, per signal and joint, beside the noise floor."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tcbi_bringup.commands import console
+
+if TYPE_CHECKING:
+    from tcbi_infer.compare import Comparison
+
+SUMMARY = "Replay recorded commands in a model and measure the error of every signal beside the noise floor."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command line."""
+    console.add_examples(
+        parser,
+        "./tcbi compare rollouts/*                             # the latest model",
+        "./tcbi compare rollouts/* --model hexapod-v0 --report compare.html",
+        "./tcbi compare rollouts/* --json",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders of bags")
+    parser.add_argument("--model", default="latest", help="model version (default: latest)")
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="where the HTML report goes (default: in the store)"
+    )
+    parser.add_argument("--timestep", type=float, default=0.002, help="s, of the simulation (default: 0.002)")
+    console.add_store(parser)
+    console.add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, compare, report, print."""
+    from tcbi_infer.bags.reader import read_measurements
+    from tcbi_infer.compare import compare
+    from tcbi_infer.report import Report, add_comparison
+    from tcbi_infer.report.sections import add_ladder
+    from tcbi_sim.store import ModelStore
+
+    measurements = read_measurements(args.bags)
+    store = ModelStore(args.store)
+    model = store.load(args.model, measurements[0].rig)
+    console.note(f"replaying {len(measurements)} rollouts in {model.version}")
+    comparison = compare(model, measurements, timestep=args.timestep)
+    report = Report("Model against measurement", f"Model {model.version}, {len(comparison.rollouts)} rollouts.")
+    add_ladder(report, [(model.version, comparison.error_over_floor)])
+    add_comparison(report, comparison)
+    path = report.write(args.report or store.folder("reports") / f"compare-{model.version}.html")
+    if args.json:
+        console.emit({**comparison.to_json(), "report": str(path)})
+    else:
+        _print(comparison, path)
+    return 0
+
+
+def _print(comparison: "Comparison", path: Path) -> None:
+    for guard in comparison.guards:
+        print(f"note: {guard}")
+    rows = [[s.name, s.unit, s.error, s.noise_floor, s.ratio, s.coverage90] for s in comparison.signals]
+    head = ["signal", "unit", "error", "noise floor", "error / floor", "inside 90 % band"]
+    console.table(f"{comparison.model} on {len(comparison.rollouts)} rollouts", head, rows)
+    print(f"error over noise floor, joints and attitude: {comparison.error_over_floor:.2f}")
+    print(comparison.floor.statement)
+    for finding in comparison.where:
+        print(f"  {finding.statement}")
+    print(f"report: {path}")

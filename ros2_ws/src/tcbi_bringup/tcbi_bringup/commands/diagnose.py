@@ -1,0 +1,93 @@
+"""`./tcbi diagnose`: which physical effect a model lacks, with its size, its error bars and an honest verdict."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tcbi_bringup.commands import console
+
+if TYPE_CHECKING:
+    from tcbi_infer.diagnose import Diagnosis
+
+SUMMARY = "Find the physical effect that a model lacks: candidates ranked on held-out motions, and a verdict."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command line."""
+    console.add_examples(
+        parser,
+        "./tcbi diagnose rollouts/*                           # the latest model, all effects of the library",
+        "./tcbi diagnose rollouts/* --model hexapod-v1 --report why.html",
+        "./tcbi diagnose rollouts/* --effects coulomb_friction,backlash --json",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders of bags")
+    parser.add_argument("--model", default="latest", help="model version (default: latest)")
+    parser.add_argument("--effects", help="comma-separated candidates (default: the whole library)")
+    parser.add_argument("--refine", type=int, default=4, help="candidates that get a full fit (default: 4)")
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="where the HTML report goes (default: in the store)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the split and of the simulated null data (default: 0)")
+    console.add_store(parser)
+    console.add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, diagnose, remember, report, print."""
+    from tcbi_infer.bags.reader import read_measurements
+    from tcbi_infer.diagnose import diagnose
+    from tcbi_infer.diagnose.adopt import remember
+    from tcbi_infer.diagnose.diagnosis import Settings
+    from tcbi_infer.report import Report, add_diagnosis
+    from tcbi_sim.effects import candidates
+    from tcbi_sim.rig import load_rig
+    from tcbi_sim.store import ModelStore
+
+    measurements = read_measurements(args.bags)
+    store = ModelStore(args.store)
+    model = store.load(args.model, measurements[0].rig)
+    uses = None
+    if args.effects:
+        wanted = args.effects.split(",")
+        every = [u for u in candidates(load_rig(model.rig)) if u.key not in model.effects]
+        uses = [u.key for u in every if u.key in wanted or u.effect.name in wanted]
+    with console.progress("diagnosing", total=100) as advance:
+        diagnosis = diagnose(
+            model,
+            measurements,
+            uses=uses,
+            settings=Settings(refine=args.refine, seed=args.seed),
+            progress=lambda stage, share: advance(done=round(100 * share), note=stage),
+        )
+    saved = remember(diagnosis, store.folder("runs"))
+    report = Report("What does the model lack?", f"Model {model.version}, {len(diagnosis.rollouts)} rollouts.")
+    add_diagnosis(report, diagnosis)
+    path = report.write(args.report or saved.with_suffix(".html"))
+    if args.json:
+        console.emit({**diagnosis.to_json(), "report": str(path)})
+    else:
+        _print(diagnosis, path)
+    return 0
+
+
+def _print(d: "Diagnosis", path: Path) -> None:
+    for finding in d.guards:
+        print(f"note: {finding}")
+    head = ["effect", "held-out gain", "s.e.", "gain / s.e.", "error before", "after", "size (90 % interval)"]
+    rows = []
+    for e in d.ranking[:10]:
+        sizes = "; ".join(
+            f"{p.name.rpartition('.')[2]} {p.value:.3g} ({p.low90:.3g} to {p.high90:.3g}) {p.unit}"
+            for p in e.parameters
+        )
+        after = e.error_after if e.refined else None
+        rows.append([e.use, e.elpd_gain, e.elpd_se, e.statistic, e.error_before, after, sizes or "screened only"])
+    console.table(f"{d.model}: candidates, best first", head, rows)
+    print(f"{d.verdict}: {d.statement}")
+    for claim in d.claims:
+        print(f"  {claim}")
+    if d.untestable:
+        print(f"  not testable with these rollouts: {', '.join(d.untestable)}")
+    if d.uses:
+        print(f"next: ./tcbi add {d.uses[0]} --model {d.model}")
+    print(f"report: {path} ({d.seconds:.0f} s)")

@@ -1,0 +1,60 @@
+"""`./tcbi history`: the error of each model version on rollouts that no fit has seen."""
+
+import argparse
+from pathlib import Path
+
+from tcbi_bringup.commands import console
+
+SUMMARY = "Show the error of each model version on rollouts that no fit has seen, the noise floor being 1."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command line."""
+    console.add_examples(
+        parser,
+        "./tcbi history                                       # the figures kept with the versions",
+        "./tcbi history new_rollouts/*                        # measured now, on these bags",
+        "./tcbi history --report history.html --json",
+    )
+    parser.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="bags to compare every version on")
+    parser.add_argument("--rig", help="versions of this rig (default: the bags' rig, else hexapod)")
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="where the HTML report goes (default: in the store)"
+    )
+    console.add_store(parser)
+    console.add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Load every version, compare, report, print."""
+    from tcbi_infer.bags.reader import read_measurements
+    from tcbi_infer.compare.history import history
+    from tcbi_infer.report import Report, add_history
+    from tcbi_sim.store import ModelStore
+
+    store = ModelStore(args.store)
+    measurements = read_measurements(args.bags) if args.bags else []
+    rig = args.rig or (measurements[0].rig if measurements else "hexapod")
+    lines = history(store.history(rig), measurements)
+    if measurements and not lines[0].rollouts:
+        console.note("all of these rollouts were used in a fit; the figures are those kept with the versions")
+    nan = float("nan")
+    rows = [
+        (
+            v.model,
+            v.parent or "–",
+            ", ".join(v.effects) or "none",
+            v.error_over_floor if v.error_over_floor is not None else nan,
+        )
+        for v in lines
+    ]
+    report = Report("Model versions", "The error of each version on rollouts that no fit has seen.")
+    add_history(report, rows)
+    path = report.write(args.report or store.folder("reports") / f"history-{rig}.html")
+    if args.json:
+        console.emit({"models": lines, "report": str(path)})
+        return 0
+    console.table("", ["model", "parent", "effects", "error / noise floor"], rows)
+    print("A noise floor of 1 is the robot against itself; – where no rollout unseen by the fits was compared.")
+    print(f"report: {path}")
+    return 0

@@ -1,0 +1,114 @@
+"""From a diagnosis to the next version of the model, its parameters distributed as they were fitted."""
+
+import datetime
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tcbi_infer.diagnose.diagnosis import Settings, diagnose
+from tcbi_infer.diagnose.evidence import Diagnosis
+from tcbi_infer.errors import InferError
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model
+
+PARTICLES = 200
+PREFIX = "diagnosis-"
+
+
+def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -> Model:
+    """The model with an effect, distributed as the diagnosis fitted it; unsaved.
+
+    Args:
+      model: the parent, the same that was diagnosed.
+      use: "name" or "name:site"; "" for no new effect, only the parameters as they were fitted.
+      diagnosis: as `Diagnosis.to_json` gives it.
+      seed: of the particles.
+
+    Raises:
+      InferError: the diagnosis is of another model, or did not fit this use.
+    """
+    if diagnosis["model"] != model.version:
+        raise InferError(
+            f"the diagnosis is of model {diagnosis['model']!r}, not of {model.version!r}; "
+            "diagnose this model, or give --model"
+        )
+    fitted = [e for e in diagnosis["ranking"] if e["refined"]]
+    evidence = next((e for e in fitted if e["use"] == use), None) if use else diagnosis["base"]
+    if evidence is None:
+        known = ", ".join(e["use"] for e in fitted) or "none"
+        raise InferError(f"the diagnosis fitted {known}, but not {use!r}; give bags to fit it now")
+    child = model.with_effect(use) if use else model
+    particles = draw(child, np.array(evidence["values"]), np.array(evidence["spread"]), seed)
+    log_weights = np.full(len(particles), -np.log(len(particles)))
+    summary = {
+        "kind": "diagnosis",
+        "use": use,
+        "verdict": diagnosis["verdict"],
+        "statement": diagnosis["statement"],
+        "accepted": evidence["accepted"],
+        "rollouts": [r for r in diagnosis["rollouts"] if r not in diagnosis["sealed"]],
+        "sealed": diagnosis["sealed"],
+        "errors": {**diagnosis["errors"], use or "base": evidence["error_after"]},
+        "error_over_floor": evidence["error_after"],
+        "parameters": evidence["parameters"],
+    }
+    return child.with_particles(particles, log_weights, **summary)
+
+
+def draw(model: Model, values: np.ndarray, spread: np.ndarray, seed: int) -> np.ndarray:
+    """(N, P) draws from a Gaussian in unit space, folded back into the bounds."""
+    rng = np.random.default_rng(seed)
+    unit = rng.multivariate_normal(model.to_unit(values), spread, size=PARTICLES, method="eigh")
+    return model.from_unit(np.clip(unit, 0.0, 1.0))
+
+
+def fit_effect(model: Model, use: str, measurements: Sequence[Measurement], **options: Any) -> Diagnosis:
+    """A diagnosis of a single candidate: its fit, held-out gain and intervals."""
+    return diagnose(model, measurements, uses=[use], settings=Settings(refine=1), **options)
+
+
+def remember(diagnosis: Diagnosis, folder: Path) -> Path:
+    """Write a diagnosis beside the others; returns its path.
+
+    Raises:
+      InferError: the folder cannot be written.
+    """
+    stamp = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%S%f")
+    path = folder / f"{PREFIX}{diagnosis.model}-{stamp}.json"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        work = path.with_suffix(".part")
+        work.write_text(json.dumps(diagnosis.to_json(), indent=1) + "\n")
+        os.replace(work, path)
+    except OSError as e:
+        raise InferError(f"cannot write {path}: {e.strerror}; free space or choose --store") from e
+    return path
+
+
+def read(path: Path) -> dict[str, Any]:
+    """A diagnosis that was written before.
+
+    Raises:
+      InferError: it is no such file.
+    """
+    try:
+        diagnosis = json.loads(path.read_text())
+        missing = {"model", "verdict", "statement", "ranking", "rollouts", "sealed", "errors"} - set(diagnosis)
+    except (OSError, ValueError, TypeError) as e:
+        raise InferError(f"cannot read the diagnosis {path}: {e}; write one with `diagnose --json`") from e
+    if missing:
+        raise InferError(f"{path} is no diagnosis: it lacks {', '.join(sorted(missing))}")
+    return diagnosis
+
+
+def latest(folder: Path, model: str, use: str) -> dict[str, Any] | None:
+    """The newest remembered diagnosis of a model that fitted this use."""
+    for path in sorted(folder.glob(f"{PREFIX}{model}-*.json"), reverse=True):
+        diagnosis = read(path)
+        if any(e["refined"] and e["use"] == use for e in diagnosis["ranking"]):
+            return diagnosis
+    return None

@@ -1,0 +1,107 @@
+"""A report: a title, a lead, sections of text, figures and tables; written as one self-contained HTML file.
+
+report = Report("What the model gets wrong", lead="Nine motions, each recorded twice.")
+add_comparison(report, comparison)
+report.add(Section("Policy", text=["…"], table=Table(["model", "return"], rows)))
+report.write(path)
+"""
+
+import dataclasses
+import datetime
+import os
+import tempfile
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from tcbi_infer.errors import InferError
+
+
+@dataclasses.dataclass(frozen=True)
+class Figure:
+    """An inline SVG with its caption; `wide` takes the full width of the page."""
+
+    svg: str
+    caption: str
+    wide: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """Rows of cells; numbers are shown with three significant digits."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    caption: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """One part of a report.
+
+    Attributes:
+      text: paragraphs.
+      notes: sentences shown as a list.
+      verdict: a highlighted sentence, with `tone` "good", "warn" or "neutral".
+      folded: the table is hidden behind a click.
+    """
+
+    title: str
+    text: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    figures: Sequence[Figure] = ()
+    table: Table | None = None
+    verdict: str = ""
+    tone: str = "neutral"
+    folded: bool = False
+
+
+class Report:
+    """Sections under one title."""
+
+    def __init__(self, title: str, lead: str = "") -> None:
+        self.title, self.lead = title, lead
+        self.sections: list[Section] = []
+
+    def add(self, section: Section) -> None:
+        """Append a section."""
+        self.sections.append(section)
+
+    def html(self) -> str:
+        """The whole page."""
+        source = resources.files("tcbi_infer.report").joinpath("page.html").read_text(encoding="utf-8")
+        environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+        environment.filters["cell"] = cell
+        written = datetime.datetime.now().astimezone().isoformat(timespec="minutes")
+        template = environment.from_string(source)
+        return template.render(title=self.title, lead=self.lead, sections=self.sections, written=written)
+
+    def write(self, path: Path | str) -> Path:
+        """Write the page, whole or not at all.
+
+        Raises:
+          InferError: the folder cannot be written.
+        """
+        path = Path(path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, work = tempfile.mkstemp(dir=path.parent, prefix=".report-", suffix=".html")
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(self.html())
+            os.chmod(work, 0o644)
+            os.replace(work, path)
+        except OSError as e:
+            raise InferError(f"cannot write the report {path}: {e.strerror}; choose another place") from e
+        return path
+
+
+def cell(value: Any) -> str:
+    """A table cell as text."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return "–" if value != value else f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+    return "–" if value is None else str(value)

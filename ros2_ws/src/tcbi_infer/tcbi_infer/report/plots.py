@@ -1,0 +1,158 @@
+"""Figures as inline SVG: colours that colour-blind readers tell apart, text in the page's own colour, units on axes."""
+
+import io
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg", force=False)
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+
+BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#8c949e"  # Okabe and Ito
+INK = "#010203"  # replaced by the page's text colour
+WIDTH = 4.4  # inch; one column on a phone
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 10,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.6,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.5,
+}
+
+
+def canvas(height: float, width: float = WIDTH) -> tuple[Canvas, Axes]:
+    """A figure with one set of axes."""
+    figure = Canvas(figsize=(width, height), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def to_svg(figure: Canvas) -> str:
+    """The figure as an SVG element that takes the colour of the text around it."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :].replace(INK, "currentColor")
+    unique = f"f{abs(hash(text)) % 10**9:09d}"
+    text = re.sub(r'id="([^"]+)"', rf'id="{unique}-\1"', text)  # several figures share a page
+    return re.sub(r'(url\(#|href="#)', rf"\g<1>{unique}-", text)
+
+
+def ladder(errors: Sequence[tuple[str, float]]) -> str:
+    """Error over noise floor of the floor itself and of each model, one bar each, smallest possible at 1."""
+    with matplotlib.rc_context(STYLE):
+        labels = ["the robot against itself", *[label for label, _ in errors]]
+        values = np.array([1.0, *[value for _, value in errors]])
+        figure, axes = canvas(0.55 + 0.36 * len(values), 6.4)
+        colors = [GREY, *([BLUE] * (len(values) - 1))]
+        axes.barh(np.arange(len(values)), values, color=colors, height=0.62)
+        for y, value in enumerate(values):
+            axes.text(value, y, f" {value:.2g}", va="center", ha="left")
+        axes.axvline(1.0, color=GREY, lw=0.8, ls="--")
+        axes.set_yticks(np.arange(len(values)), labels)
+        axes.invert_yaxis()
+        axes.set_xlim(0, float(np.nanmax(values)) * 1.12)
+        axes.set_xlabel("error / noise floor")
+        axes.tick_params(axis="y", length=0)
+        return to_svg(figure)
+
+
+def overlay(
+    time: np.ndarray,
+    measured: np.ndarray,
+    predicted: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    label: str,
+    after: np.ndarray | None = None,
+) -> str:
+    """Measured against predicted motion with the predictive 90 % band; `after` is another model's prediction."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(2.5)
+        axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="predicted, 90 %")
+        axes.plot(time, predicted, color=BLUE, label="predicted")
+        if after is not None:
+            axes.plot(time, after, color=GREEN, ls="-.", label="with the effect")
+        axes.plot(time, measured, color=ORANGE, ls="--", label="measured")
+        axes.set_xlabel("time / s")
+        axes.set_ylabel(label)
+        axes.margins(x=0)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2, handlelength=1.8)
+        return to_svg(figure)
+
+
+def bars(
+    labels: Sequence[str], values: Sequence[float], errors: Sequence[float], chosen: Sequence[bool], axis: str
+) -> str:
+    """Horizontal bars with standard errors, those chosen in colour."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(0.6 + 0.3 * len(labels), 6.4)
+        rows = np.arange(len(labels))
+        axes.barh(rows, values, xerr=errors, color=[BLUE if c else GREY for c in chosen], height=0.62,
+                  error_kw={"ecolor": INK, "elinewidth": 1.0, "capsize": 2})  # fmt: skip
+        axes.axvline(0, color=INK, lw=0.6)
+        axes.set_yticks(rows, labels)
+        axes.invert_yaxis()
+        axes.set_xlabel(axis)
+        axes.tick_params(axis="y", length=0)
+        return to_svg(figure)
+
+
+def signal_bars(labels: Sequence[str], ratios: Sequence[float]) -> str:
+    """Error over noise floor of every signal, the floor as a line."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(0.6 + 0.2 * len(labels), 6.4)
+        rows = np.arange(len(labels))
+        axes.barh(rows, ratios, color=BLUE, height=0.66)
+        axes.axvline(1.0, color=ORANGE, lw=1.2, ls="--")
+        axes.set_yticks(rows, labels, fontsize=8)
+        axes.invert_yaxis()
+        axes.margins(y=0.01)
+        axes.set_xlabel("error / noise floor (dashed: the noise floor)")
+        return to_svg(figure)
+
+
+def interval(
+    name: str, unit: str, value: float, low: float, high: float, null: float | None, bounds: tuple[float, float]
+) -> str:
+    """A fitted value with its 90 % interval on the parameter's range; a cross where the effect would vanish."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(1.15)
+        axes.hlines(0, *bounds, color=GREY, lw=4, alpha=0.35)
+        axes.hlines(0, low, high, color=BLUE, lw=5)
+        axes.plot([value], [0], "o", color=BLUE, ms=8)
+        if null is not None:
+            axes.plot([null], [0], "x", color=ORANGE, ms=9, mew=2)
+        axes.set_yticks([])
+        axes.spines["left"].set_visible(False)
+        axes.set_xlabel(f"{name} / {unit}" if unit not in ("", "1") else name)
+        axes.set_ylim(-1, 1)
+        return to_svg(figure)
+
+
+def history(labels: Sequence[str], errors: Sequence[float]) -> str:
+    """The error of each model version, with the noise floor as a line."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(2.8, 6.4)
+        axes.plot(np.arange(len(labels)), errors, "o-", color=BLUE)
+        axes.axhline(1.0, color=ORANGE, ls="--", lw=1.2)
+        axes.text(0, 1.0, "noise floor", color=ORANGE, va="bottom", fontsize=9)
+        for x, error in enumerate(errors):
+            if np.isfinite(error):
+                axes.annotate(f"{error:.2g}", (x, error), xytext=(0, 7), textcoords="offset points", ha="center")
+        axes.set_xticks(np.arange(len(labels)), labels)
+        axes.set_ylim(0, max(float(np.nanmax([*errors, 1.0])) * 1.2, 1.3))
+        axes.set_ylabel("error / noise floor")
+        return to_svg(figure)

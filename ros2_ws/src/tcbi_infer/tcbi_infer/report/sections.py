@@ -1,0 +1,157 @@
+"""The sections that comparison, diagnosis and history contribute to a report."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_infer.compare.comparison import Comparison
+from tcbi_infer.compare.locate import worst_moments
+from tcbi_infer.compare.signals import JOINT
+from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis, Evidence
+from tcbi_infer.report import plots
+from tcbi_infer.report.page import Figure, Report, Section, Table
+
+WORST_S = 1.5  # s, length of a moment shown
+HEADLINES = {
+    EFFECT: "An effect is missing",
+    CANNOT_TELL: "An effect is missing, but which one cannot be told",
+    NOTHING_MISSING: "Nothing is missing",
+    OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
+}
+LABELS = {"unfitted": "model as it was", "base": "model, parameters fitted"}
+
+
+def add_ladder(report: Report, errors: Sequence[tuple[str, float]], text: str = "") -> None:
+    """The error ladder: noise floor, then each model."""
+    explain = (
+        "Each bar is how far the prediction is from the measurement, joints and attitude together, in multiples of how "
+        "much the robot differs from itself when it repeats a motion. 1 is as good as any model can be."
+    )
+    figure = Figure(plots.ladder(errors), "Error over noise floor, joints and attitude.", wide=True)
+    report.add(Section("How wrong is the model?", text=[explain, *([text] if text else [])], figures=[figure]))
+
+
+def add_comparison(report: Report, comparison: Comparison, after: Comparison | None = None) -> None:
+    """Guards, where the error lives, the worst moments, every signal."""
+    c = comparison
+    headline = (
+        f"Model {c.model} errs by {c.error_over_floor:.1f} times the noise floor on {len(c.rollouts)} "
+        f"rollout{'s' if len(c.rollouts) != 1 else ''}."
+    )
+    tone = "good" if c.error_over_floor < 1.5 else "warn"
+    report.add(Section("Prediction against measurement", verdict=headline, tone=tone, text=[c.floor.statement]))
+    if c.guards:
+        text = ["Before any figure is believed: these findings may explain the error without any physics."]
+        report.add(Section("About the recording", text=text, notes=c.guards))
+    if c.where:
+        report.add(Section("Where the error lives", notes=[f.statement for f in c.where], figures=_worst(c, after)))
+    measured = [s for s in c.signals if np.isfinite(s.ratio)]
+    rows = [[s.name, s.unit, s.error, s.noise_floor, s.ratio, s.coverage90] for s in measured]
+    head = ["signal", "unit", "error", "noise floor", "ratio", "share inside 90 % band"]
+    bars = Figure(
+        plots.signal_bars([s.name for s in measured], [s.ratio for s in measured]), "Every signal.", wide=True
+    )
+    table = Table(head, rows, "Every signal in figures")
+    report.add(Section("Every signal", figures=[bars], table=table, folded=True))
+
+
+def _worst(c: Comparison, after: Comparison | None, count: int = 4) -> list[Figure]:
+    layout, replay = c.replay.layout, c.replay
+    joints = layout.where(JOINT)
+    span = round(WORST_S * layout.rate)
+    firsts = [g.members[0] for g in replay.replicates]  # replicates would show the same moment again
+    residual = (replay.measured - c.predicted)[firsts]
+    figures = []
+    for s, t, i in worst_moments(residual, c.floor.values, joints, count, span):
+        r = firsts[s]
+        cut = slice(t, t + span)
+        channel = layout.channels[i]
+        other = after.predicted[r, cut, i] if after is not None and after.rollouts == c.rollouts else None
+        svg = plots.overlay(
+            replay.time[cut],
+            replay.measured[r, cut, i],
+            c.predicted[r, cut, i],
+            c.low[r, cut, i],
+            c.high[r, cut, i],
+            f"{channel.name} / {channel.group.unit}",
+            other,
+        )
+        figures.append(
+            Figure(svg, f"One of the worst moments: {channel.name} in rollout {replay.measurements[r].rollout_id}.")
+        )
+    return figures
+
+
+def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
+    """The verdict, the ladder, the ranking, the fitted sizes, what the verdict rests on."""
+    d = diagnosis
+    tone = {EFFECT: "warn", NOTHING_MISSING: "good"}.get(d.verdict, "neutral")
+    report.add(Section(HEADLINES[d.verdict], verdict=d.statement, tone=tone, notes=d.claims))
+    if d.guards:
+        report.add(Section("About the recording", notes=d.guards))
+    add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in d.errors.items()])
+    if d.ranking:
+        report.add(_ranking(d))
+    named = [e for e in d.ranking if e.use in d.uses and e.refined]
+    if named:
+        report.add(_sizes(named))
+    if d.untestable:
+        text = ["In these rollouts the following change nothing that can be measured, so nothing is said about them."]
+        report.add(Section("What these rollouts cannot test", text=text, notes=d.untestable))
+
+
+def _ranking(d: Diagnosis, most: int = 12) -> Section:
+    shown = d.ranking[:most]
+    labels = [e.use for e in shown]
+    chosen = [e.use in d.uses for e in shown]
+    svg = plots.bars(labels, [e.elpd_gain for e in shown], [e.elpd_se for e in shown], chosen, "held-out gain / nats")
+    rows = [
+        [
+            e.use,
+            e.elpd_gain,
+            e.elpd_se,
+            e.statistic,
+            e.error_before,
+            e.error_after,
+            "yes" if e.accepted else e.reason,
+            ", ".join(e.confused_with),
+        ]
+        for e in d.ranking
+    ]
+    head = ["effect", "gain", "s.e.", "gain / s.e.", "error before", "after", "accepted?", "looks like"]
+    return Section(
+        "Which effect explains the error?",
+        text=[
+            "Every effect of the library was tried. A bar is how much better motions are predicted that the fit had "
+            "not seen; the whisker is its standard error between kinds of motion. An effect must beat what searching so "
+            f"many effects finds by luck: {d.threshold:.1f} standard errors here.",
+        ],
+        figures=[Figure(svg, "Held-out gain of each candidate; in colour what the verdict names.", wide=True)],
+        table=Table(head, rows, "All candidates in figures"),
+        folded=True,
+    )
+
+
+def _sizes(named: Sequence[Evidence]) -> Section:
+    figures = []
+    for evidence in named:
+        for p in evidence.parameters:
+            ends = [p.low90, p.high90, p.value, *([p.null] if p.null is not None else [])]
+            pad = 0.15 * (max(ends) - min(ends) or abs(p.value) or 1.0)
+            svg = plots.interval(p.name, p.unit, p.value, p.low90, p.high90, p.null, (min(ends) - pad, max(ends) + pad))
+            figures.append(Figure(svg, f"{p.value:.3g} {p.unit}, 90 % between {p.low90:.3g} and {p.high90:.3g}."))
+    return Section(
+        "How large is it?",
+        text=[
+            "The dot is the fitted value, the thick line its 90 % interval; the cross is where the effect would vanish."
+        ],
+        figures=figures,
+    )
+
+
+def add_history(report: Report, rows: Sequence[tuple[str, str, str, float]]) -> None:
+    """Model versions: (version, parent, effects, error over floor)."""
+    svg = plots.history([r[0] for r in rows], [r[3] for r in rows])
+    caption = "Error of each version on rollouts that no fit has seen; the noise floor is 1."
+    table = Table(["model", "parent", "effects", "error / noise floor"], rows)
+    report.add(Section("Model versions", figures=[Figure(svg, caption, wide=True)], table=table))

@@ -1,0 +1,169 @@
+"""Noise floors, replicates, splits, guards and locations: each against a case whose answer is known."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tcbi_infer.compare.guards import check_recording
+from tcbi_infer.compare.locate import locate
+from tcbi_infer.compare.noise import autocorrelation_time, from_fast_changes, noise_floor
+from tcbi_infer.compare.replicates import Replicates, find_replicates, split
+from tcbi_infer.compare.signals import JOINT, Layout, reference, window_mean
+from tcbi_sim.measurement import Commands, Measurement, Scenario
+from tcbi_sim.rig import Rig, load_rig
+
+TIME = np.arange(1, 251) / 50.0
+
+
+def recording(
+    name: str = "a",
+    target: np.ndarray | None = None,
+    lag: float = 0.06,
+    policy: str = "gait:sine",
+    jitter: float = 0.0,
+) -> Measurement:
+    """A hexapod whose joints follow their commands after a lag."""
+    rig = load_rig("hexapod")
+    t = np.arange(25) * 0.2
+    if target is None:
+        phase = np.linspace(0, 5, 18)
+        target = 0.3 * np.sin(2 * np.pi * np.linspace(0.3, 0.6, 18) * t[:, None] + phase)
+    shifted = t + jitter * np.random.default_rng(len(name)).random(25)
+    m = Measurement(
+        rollout_id=name,
+        rig="hexapod",
+        scenario=Scenario("balance", 5.0),
+        policy_id=policy,
+        source="driver",
+        commands=Commands(shifted, target),
+        joint_names=rig.joint_names,
+        foot_names=rig.foot_names,
+        time=TIME,
+        joint_position=np.zeros((250, 18)),
+    )
+    return dataclasses.replace(m, joint_position=reference(m, TIME - lag))
+
+
+def test_jitter_of_the_command_stream_does_not_hide_a_replicate():
+    sets = find_replicates([recording("a"), recording("bb", jitter=0.01), recording("c", 0.1 * np.ones((25, 18)))])
+    assert [s.members for s in sets] == [(0, 1), (2,)]
+
+
+def test_another_slope_is_no_replicate():
+    tilted = dataclasses.replace(recording("b"), scenario=Scenario("balance", 5.0, slope_roll=0.1))
+    assert len(find_replicates([recording("a"), tilted])) == 2
+
+
+def test_the_same_motion_on_another_bench_is_the_same_kind():
+    other = dataclasses.replace(recording("b"), scenario=Scenario("balance", 5.0, constants=(("kp", 200.0),)))
+    sets = find_replicates([recording("a"), other, recording("c", np.linspace(0, 0.4, 25)[:, None] * np.ones(18))])
+    assert [s.kind for s in sets] == [0, 0, 1]
+
+
+def test_no_kind_of_motion_is_in_two_parts_of_a_split():
+    sets = [Replicates((i,), i % 5) for i in range(15)]
+    parts = [*split(sets).folds, split(sets).sealed]
+    kinds = [{sets[i].kind for i in part} for part in parts]
+    assert sum(len(k) for k in kinds) == len(set().union(*kinds)) == 5
+    assert sorted(i for part in parts for i in part) == list(range(15))
+    assert split(sets).sealed
+
+
+def test_few_kinds_leave_nothing_sealed():
+    assert split([Replicates((i,), i) for i in range(3)]).sealed == ()
+
+
+def test_the_floor_of_replicates_is_their_noise_whatever_the_model_gets_wrong():
+    layout = Layout.of([recording()])
+    rng = np.random.default_rng(0)
+    truth = 10 * np.sin(TIME)[None, :, None] * np.ones((2, 1, 18))
+    measured = truth + rng.normal(0, 0.2, truth.shape)
+    floor = noise_floor(layout, measured, measured - 5.0, [Replicates((0, 1), 0)])
+    assert floor.from_replicates
+    assert floor.values == pytest.approx(0.2, rel=0.25)
+    assert np.mean(floor.values) == pytest.approx(0.2, rel=0.05)
+
+
+def test_without_replicates_the_floor_comes_from_fast_changes_and_says_so():
+    layout = Layout.of([recording()])
+    residual = 3 * np.sin(TIME)[None, :, None] + np.random.default_rng(0).normal(0, 0.2, (1, 250, 18))
+    floor = noise_floor(layout, residual, residual, [Replicates((0,), 0)])
+    assert not floor.from_replicates and "No commands were repeated" in floor.statement
+    assert np.mean(from_fast_changes(residual)) == pytest.approx(0.2, rel=0.1)
+
+
+def test_autocorrelation_time_of_a_first_order_process_is_the_textbook_value():
+    rng = np.random.default_rng(1)
+    x = np.zeros((8, 4000, 1))
+    for t in range(1, 4000):
+        x[:, t] = 0.8 * x[:, t - 1] + rng.normal(size=(8, 1))
+    assert autocorrelation_time(x) == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.25)
+    assert autocorrelation_time(rng.normal(size=(8, 4000, 1))) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_window_mean_is_the_mean_of_its_window():
+    values = np.arange(10.0)[:, None]
+    assert window_mean(values, 3)[4, 0] == 4.0
+    assert window_mean(values, 3)[0, 0] == 0.5
+
+
+def test_a_sound_recording_raises_no_finding():
+    assert check_recording(recording()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda q: q * np.where(np.arange(18) == 4, -1, 1), "lm_femur moves against its command"),
+        (lambda q: q[:, [8, *range(1, 8), 0, *range(9, 18)]], "lf_coxa and lr_tibia follow each other's commands"),
+        (lambda q: 2048 + q * 651.9, "raw encoder counts"),
+    ],
+)
+def test_wiring_and_unit_mistakes_are_named(change, words):
+    sound = recording()
+    broken = dataclasses.replace(sound, joint_position=change(sound.joint_position))
+    assert any(words in finding for finding in check_recording(broken))
+
+
+def test_an_echo_of_the_commands_is_named():
+    assert any("echoes commands" in f for f in check_recording(recording(lag=0.0)))
+
+
+def test_joints_that_lead_their_commands_point_at_the_clocks():
+    assert any("lead their commands" in f for f in check_recording(recording(lag=-0.15)))
+
+
+def test_a_gap_in_the_samples_is_named():
+    m = recording()
+    keep = (m.time < 2) | (m.time > 3)
+    cut = dataclasses.replace(m, time=m.time[keep], joint_position=m.joint_position[keep])
+    assert any("gap of 1.0 s" in f for f in check_recording(cut))
+
+
+def located(lag: float, joint: int, rig: Rig):
+    m = recording()
+    layout = Layout.of([m])
+    predicted = layout.extract(m)[None]
+    late = layout.extract(dataclasses.replace(m, joint_position=reference(m, TIME - 0.06 - lag)))[None]
+    measured = predicted.copy()
+    measured[..., joint] = late[..., joint]
+    measured += np.random.default_rng(0).normal(0, 0.05, measured.shape)
+    floor = np.full(len(layout.channels), 0.05)
+    return locate(rig, layout, [m], TIME, measured - predicted, predicted, floor)
+
+
+def test_a_joint_that_lags_is_found_first_with_its_lag():
+    rig = load_rig("hexapod")
+    first = located(0.08, rig.index("rm_tibia"), rig)[0]
+    assert first.channels == ("rm_tibia",)
+    assert first.statement.startswith("The joint rm_tibia lags the prediction by 8") or "by 7" in first.statement
+
+
+def test_nothing_is_located_where_the_model_is_right():
+    assert located(0.0, 3, load_rig("hexapod")) == []
+
+
+def test_layout_leaves_out_what_was_not_measured():
+    layout = Layout.of([recording()])
+    assert {c.group for c in layout.channels} == {JOINT}

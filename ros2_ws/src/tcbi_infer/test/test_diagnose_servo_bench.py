@@ -1,0 +1,95 @@
+"""A diagnosis from end to end on a servo bench whose truth is known; another time step plays the robot."""
+
+import numpy as np
+import pytest
+from bench_recordings import BASE, NOISE, record
+
+from tcbi_infer.compare import compare
+from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
+from tcbi_infer.compare.history import history
+from tcbi_infer.diagnose import Diagnosis, adopt, diagnose
+from tcbi_infer.errors import InferError
+from tcbi_sim.model import base_model
+
+CANDIDATES = ("command_latency", "rotor_inertia", "torque_saturation")
+
+
+@pytest.fixture(scope="module")
+def late() -> Diagnosis:
+    truth = base_model("servo_bench").with_effect("command_latency")
+    return diagnose(base_model("servo_bench"), record(truth, np.r_[BASE, 0.06]), uses=CANDIDATES)
+
+
+def test_a_hidden_latency_is_named(late):
+    assert (late.verdict, late.effects) == ("effect", ("command_latency",))
+    assert late.statement.startswith("The model lacks command_latency")
+
+
+def test_its_size_is_inside_the_interval_and_the_interval_leaves_out_zero(late):
+    (delay,) = late.ranking[0].parameters
+    assert delay.low90 <= 0.06 <= delay.high90
+    assert delay.excludes_null and delay.high90 - delay.low90 < 0.02
+
+
+def test_the_error_falls_to_the_noise_floor_on_sealed_motions(late):
+    best = late.ranking[0]
+    assert best.error_before > 3.0 and best.error_after < 1.3
+    assert late.sealed and not set(late.sealed) & set(adopted(late).evidence["rollouts"])
+
+
+def adopted(diagnosis: Diagnosis):
+    return adopt.adopt(base_model("servo_bench"), "command_latency", diagnosis.to_json())
+
+
+def test_the_new_version_holds_the_fitted_distribution(late):
+    child = adopted(late)
+    assert child.effects == ("command_latency",) and child.parent == "servo_bench-v0"
+    assert child.mean()[-1] == pytest.approx(0.06, abs=0.01)
+    assert 0 < np.std(child.particles[:, -1]) < 0.01
+
+
+def test_history_never_compares_on_rollouts_that_a_fit_has_seen(late):
+    truth = base_model("servo_bench").with_effect("command_latency")
+    lines = history([base_model("servo_bench"), adopted(late)], record(truth, np.r_[BASE, 0.06]))
+    assert set(lines[0].rollouts) == set(late.sealed)
+    assert lines[1].error_over_floor < 1.3 < lines[0].error_over_floor
+
+
+def test_a_diagnosis_of_another_model_is_refused(late):
+    with pytest.raises(InferError, match="is of model"):
+        adopt.adopt(base_model("hexapod"), "command_latency", late.to_json())
+
+
+def test_nothing_is_missing_where_nothing_is_hidden():
+    diagnosis = diagnose(base_model("servo_bench"), record(base_model("servo_bench"), BASE), uses=CANDIDATES)
+    assert (diagnosis.verdict, diagnosis.effects) == ("nothing_missing", ())
+    assert diagnosis.errors["base"] < 1.3
+
+
+def test_twins_that_only_body_sensors_could_tell_apart_are_not_told_apart():
+    truth = base_model("servo_bench").with_effect("command_latency")
+    diagnosis = diagnose(
+        base_model("servo_bench"), record(truth, np.r_[BASE, 0.06]), uses=["command_latency", "sensor_latency"]
+    )
+    assert diagnosis.verdict == "cannot_tell"
+    assert set(diagnosis.effects) == {"command_latency", "sensor_latency"}
+
+
+def test_at_the_truth_the_error_is_the_noise_floor():
+    model = base_model("servo_bench")
+    comparison = compare(model, record(model, BASE), parameters=BASE)
+    assert comparison.floor.from_replicates
+    assert comparison.error_over_floor == pytest.approx(1.0, abs=0.25)
+    assert comparison.signals[0].noise_floor == pytest.approx(np.degrees(NOISE), rel=0.1)
+    assert comparison.signals[0].coverage90 == pytest.approx(0.9, abs=0.07)
+    assert not comparison.guards
+
+
+def test_without_rollouts_there_is_nothing_to_compare():
+    with pytest.raises(NothingToCompareError):
+        compare(base_model("servo_bench"), [])
+
+
+def test_rollouts_of_another_robot_are_refused():
+    with pytest.raises(WrongRigError, match="servo_bench"):
+        compare(base_model("hexapod"), record(base_model("servo_bench"), BASE, repeats=1))
