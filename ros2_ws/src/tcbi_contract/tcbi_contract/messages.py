@@ -1,6 +1,7 @@
 """QoS profiles and message layouts, so that driver and simulator publish the same by construction."""
 
 import math
+from array import array
 from collections.abc import Iterable, Sequence
 
 from builtin_interfaces.msg import Duration, Time
@@ -41,7 +42,7 @@ def to_stamp(nanoseconds: int) -> Time:
 
 def joint_state(stamp: Time, position: Iterable[float], names: Sequence[str] = JOINTS) -> JointState:
     """Measured joint positions (rad); the robot measures neither velocity nor effort."""
-    message = JointState(name=list(names), position=[float(x) for x in position])
+    message = JointState(name=list(names), position=array("d", position))
     message.header.stamp = stamp
     message.header.frame_id = BASE_FRAME
     return message
@@ -114,7 +115,7 @@ def joint_command(
     message = JointTrajectory(joint_names=list(names))
     message.header.stamp = stamp
     message.header.frame_id = BASE_FRAME
-    point = JointTrajectoryPoint(positions=[float(x) for x in position])
+    point = JointTrajectoryPoint(positions=array("d", position))
     whole = math.floor(duration_s)
     point.time_from_start = Duration(sec=whole, nanosec=round((duration_s - whole) * 1e9))
     message.points = [point]
