@@ -13,6 +13,7 @@ from rclpy.action import ActionClient
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
 
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_contract import messages, names
@@ -21,8 +22,10 @@ from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.bags.recovery import recover
 from tcbi_infer.bags.scan import Scan
 from tcbi_infer.bags.schemas import typestore
+from tcbi_infer.names import DISTANCE, PLACE_ROBOT
 from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import RolloutEvent
+from tcbi_msgs.srv import ResetEpisode
 
 pytestmark = pytest.mark.graph
 
@@ -189,6 +192,50 @@ def test_a_disk_that_fills_up_in_a_rollout_costs_its_end_alone(start_graph, peer
     resource.prlimit(pid, resource.RLIMIT_FSIZE, unlimited)  # somebody made room
     status, result = Collection(peer, task="balance", number=1, seed=3).result()
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+
+
+class Robot:
+    """A robot without a tracker that cannot tilt its ground, and somebody who can."""
+
+    def __init__(self, peer) -> None:
+        self.peer, self.resets, self.placed = peer, 0, []
+        self.joints = peer.node.create_publisher(JointState, names.JOINT_STATES, messages.STREAM_QOS)
+        peer.node.create_service(ResetEpisode, names.RESET_EPISODE, self.reset)
+        peer.node.create_service(ResetEpisode, PLACE_ROBOT, self.place)
+        peer.node.create_timer(0.02, self.measure)
+
+    def now(self):
+        return self.peer.node.get_clock().now().to_msg()
+
+    def measure(self) -> None:
+        self.joints.publish(messages.joint_state(self.now(), [0.1] * 18))
+
+    def reset(self, request, response):
+        self.resets += 1
+        response.success, response.source = self.resets > 1, "driver"
+        response.message, response.stamp = "still connecting", self.now()
+        return response
+
+    def place(self, request, response):
+        self.placed.append(request.slope_roll)
+        response.success, response.stamp = True, self.now()
+        return response
+
+
+def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False, distance_timeout_s=30.0))
+    robot = Robot(peer)
+    entered = peer.publisher(DISTANCE, Float64, 10)
+    goal = {"task": "balance", "number": 1, "policy": "none", "duration_s": 1.0, "slope_roll": [0.25]}
+    collection = Collection(peer, **goal)
+    peer.wait_until(lambda: bool(collection.told) and collection.told[-1].remaining_s == 0, "the end of the rollout")
+    entered.publish(Float64(data=0.42))
+    status, result = collection.result()
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert robot.resets == 2 and robot.placed == [0.25]
+    m = read_measurement(result.bags[0])
+    assert (m.distance, m.source, m.policy_id, m.scenario.slope_roll) == (0.42, "driver", "", 0.25)
+    assert m.scenario.duration == 1.0 and 0.9 < m.time[-1] <= 1.0
 
 
 def test_another_programs_events_are_recorded_too(start_graph, peer, tmp_path):

@@ -1,0 +1,85 @@
+"""The commands that need no graph, as a user calls them: import, recover, replay's refusals."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tcbi_bringup import cli
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_infer.bags.reader import read_measurement
+from tcbi_sim.measurement import Commands, Measurement, Scenario
+
+
+def log(folder: Path, name: str = "run_1.json") -> Path:
+    samples = [
+        {"timestamp": k * 0.005, "position": 0.01 * k, "goal_position": 0.3, "torque_enable": k < 150}
+        for k in range(200)
+    ]
+    path = folder / name
+    path.write_text(json.dumps({"kp": 200, "mass": 0.49, "length": 0.1, "vin": 7.4, "entries": samples}))
+    return path
+
+
+def bag(folder: Path) -> Path:
+    time = np.arange(500) * 0.005
+    commands = Commands(np.array([0.0]), np.zeros((1, 1)), 0.0)
+    scenario = Scenario("log", float(time[-1]))
+    made = Measurement(
+        "swing", "servo_bench", scenario, "", "bench", commands, ("servo",), (), time, np.sin(time)[:, None]
+    )
+    return write_measurement(folder, made)
+
+
+def test_import_writes_a_bag_a_log_and_tells_it_as_json(tmp_path, capsys):
+    log(tmp_path), log(tmp_path, "run_2.json")
+    assert cli.main(["import", "xl330_bench", str(tmp_path), "--out", str(tmp_path / "bags"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["rig"] == "servo_bench"
+    assert [Path(b["bag"]).name for b in told["bags"]] == ["run_1", "run_2"]
+    m = read_measurement(told["bags"][0]["bag"])
+    assert m.scenario.constant("kp") == 200 and len(m.time) == 200 == told["bags"][0]["samples"]
+
+
+def test_a_bad_log_among_good_ones_leaves_nothing_behind(tmp_path, capsys):
+    log(tmp_path)
+    (tmp_path / "run_2.json").write_text("[]")
+    assert cli.main(["import", "xl330_bench", str(tmp_path), "--out", str(tmp_path / "bags")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "bags").exists()
+
+
+def test_recover_repairs_and_says_what_was_saved(tmp_path, capsys):
+    path = bag(tmp_path)
+    file = path / "swing_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
+    assert cli.main(["recover", str(path), "--json"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)["bags"]
+    assert told["repaired"] and told["bag"] == str(path) and Path(told["original"]).is_dir()
+    assert told["messages"] == sum(told["topics"].values()) > 100
+    assert told["seconds"] == pytest.approx(read_measurement(path).time[-1], abs=0.01)
+    assert cli.main(["recover", str(path)]) == 0
+    assert "nothing to repair" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["recover", "replay"])
+@pytest.mark.parametrize("what", ["missing", "empty_folder", "not_mcap.mcap"])
+def test_what_is_no_bag_is_one_line_and_status_1(tmp_path, capsys, command, what):
+    (tmp_path / "empty_folder").mkdir()
+    (tmp_path / "not_mcap.mcap").write_text("hello, I am a text of some length")
+    assert cli.main([command, str(tmp_path / what)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1 and what in captured.err
+
+
+def test_collect_names_every_fault_before_it_starts_anything(capsys):
+    assert cli.main(["collect", "--task", "dance", "--n", "0", "--robot", "sim"]) == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "task: got 'dance'" in told and "number: got 0" in told
+
+
+@pytest.mark.parametrize("command", ["collect", "recover", "replay", "import"])
+def test_help_shows_examples(capsys, command):
+    assert cli.main([command, "--help"]) == 0
+    assert f"./tcbi {command} " in capsys.readouterr().out
