@@ -41,18 +41,14 @@ class Binning:
     def index(self, samples: np.ndarray) -> np.ndarray:
         """Bin of each sample; NaN goes to bin `bins`, which `counts` drops."""
         inner = self.bins - 2
-        with np.errstate(invalid="ignore"):
-            position = np.floor((samples - self.low) * (inner / (self.high - self.low))) + 1
-        position = np.clip(np.nan_to_num(position, nan=self.bins), 0, self.bins)
-        position[np.isfinite(samples)] = np.minimum(position[np.isfinite(samples)], self.bins - 1)
-        return position.astype(np.int64)
+        width = (self.high - self.low) / inner
+        near = np.clip(samples, self.low - width, self.high + width)  # the tails hold whatever lies beyond
+        position = np.clip(np.floor((near - self.low) / width) + 1, 0, self.bins - 1)
+        return np.nan_to_num(position, nan=self.bins).astype(np.int64)
 
     def counts(self, samples: np.ndarray) -> np.ndarray:
         """(..., n) samples -> (..., bins) counts; infinite samples fall in the tails, NaN nowhere."""
         lead = samples.shape[:-1]
-        infinite = np.isinf(samples)
-        if infinite.any():
-            samples = np.where(infinite, np.copysign(np.finfo(float).max, samples), samples)
         rows = int(np.prod(lead, dtype=np.int64))
         flat = self.index(samples.reshape(rows, samples.shape[-1]))
         offset = np.arange(rows)[:, None] * (self.bins + 1)

@@ -41,7 +41,7 @@ class CalibratedSettings(NamedTuple):
     particles: int = 50  # simulated in each generation
     generations: int = 6
     prior_share: float = 0.1  # of each later generation, drawn from the prior
-    least_ess: float = 0.5  # of `particles`: alpha rises no further than this allows
+    least_ess: float = 0.4  # of `particles`: alpha rises no further than this allows
 
 
 class CalibratedState(NamedTuple):
@@ -67,6 +67,7 @@ class CalibratedInfo(NamedTuple):
     alpha_supported: float
     floor_noise: np.ndarray  # (statistics,) mean over channels
     floor_misfit: np.ndarray  # (statistics,)
+    best: np.ndarray  # (n, P) in [0, 1], the particles that fit best
 
 
 def init(dimensions: int) -> CalibratedState:
@@ -137,6 +138,7 @@ def _weigh(
         alpha_supported=supported,
         floor_noise=observed.by_statistic(floors.noise),
         floor_misfit=observed.by_statistic(floors.misfit),
+        best=from_probit(z[np.argsort(energy, kind="stable")[: calibration.BEST]]),
     )
     converged = before.generation >= 2 and alpha >= 0.99 * supported and _steady(before, z, weights)
     state = CalibratedState(

@@ -115,7 +115,7 @@ def calibrate(
     counts, z, log_base, full = counts[order], z[order], log_base[order], full[order]
     units = len(observed.counts)
     resampled = rng.multinomial(units, np.full(units, 1 / units), size=RESAMPLES)
-    energies = [energy(observed, divergences(observed.counts, counts, w), floor) for w in resampled]
+    energies = np.stack([energy(observed, divergences(observed.counts, counts, w), floor) for w in resampled])
     accepted = 0.0
     for alpha in np.geomspace(1e-4, LARGEST_ALPHA, 40):
         if _relative_movement(alpha, energies, full, z, log_base) > 1.0:
@@ -125,9 +125,11 @@ def calibrate(
 
 
 def _relative_movement(
-    alpha: float, energies: list[np.ndarray], full: np.ndarray, z: np.ndarray, log_base: np.ndarray
+    alpha: float, energies: np.ndarray, full: np.ndarray, z: np.ndarray, log_base: np.ndarray
 ) -> float:
     """Mean squared movement of the posterior mean over its variance, of the parameter where that is largest."""
     mean, variance = mean_and_variance(z, normalised(log_base - alpha * full))
-    moved = np.stack([normalised(log_base - alpha * e) @ z for e in energies])
+    log_weights = log_base - alpha * energies
+    weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
+    moved = (weights @ z) / weights.sum(axis=1, keepdims=True)
     return float(np.max(np.mean((moved - mean) ** 2, axis=0) / np.maximum(variance, 1e-12)))

@@ -30,7 +30,7 @@ def save(path: Path, state: Any) -> None:
 def load(path: Path, state_type: type) -> Any | None:
     """The state, or None if there is none, or it is damaged or of another format: then one starts over."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         return _build(state_type, "", arrays) if int(arrays["format"]) == FORMAT else None
     except (OSError, KeyError, ValueError, zipfile.BadZipFile, EOFError):

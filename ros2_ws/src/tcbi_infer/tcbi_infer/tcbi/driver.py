@@ -229,7 +229,9 @@ class _Loop:
         if self.here or not self.history:
             return self.last
         entry = self.history[-1]
-        notes: dict[str, Any] = {k: entry[k] for k in ("alpha_supported", "floor_noise", "floor_misfit") if k in entry}
+        notes: dict[str, Any] = {
+            k: entry[k] for k in ("alpha_supported", "floor_noise", "floor_misfit", "best") if k in entry
+        }
         return Generation(entry["ess"], entry["alpha"], np.asarray(entry["divergence"]), notes)
 
 

@@ -15,7 +15,8 @@ FLAT_VARIANCE = 1.0 / 12.0  # of a flat prior on [0, 1]
 IDENTIFIED_BELOW = 0.5  # of the prior's variance, with 95 % confidence
 EDGE = 0.02  # share of the range that counts as a bound
 PILED = 0.5  # share of the posterior at a bound that is worth a warning
-MISFIT = 4.0  # divergence over its floor
+MISFIT = 4.0  # remaining divergence over noise that is worth a warning
+NEAR, POOR = 0.15, 1.8  # best particles so near a bound, with so much misfit, say that the bound is in the way
 
 
 @dataclass(frozen=True)
@@ -124,25 +125,26 @@ def findings(
     finished: bool,
 ) -> list[str]:
     """Warnings that the posterior itself gives: bounds that exclude the data, misfit, too few particles."""
+    ratios = _misfit_ratios(last)
+    best = np.asarray(last.notes.get("best", np.empty((0, len(parameters)))))
     weights = normalised(log_weights)
     lines = []
     for i, p in enumerate(parameters):
-        for end, bound, inside in (("low", p.low, unit[:, i] < EDGE), ("high", p.high, unit[:, i] > 1 - EDGE)):
-            share = weights[inside].sum()
-            if share > PILED:
+        for end, bound, at in (("low", p.low, unit[:, i]), ("high", p.high, 1 - unit[:, i])):
+            share = weights[at < EDGE].sum()
+            near = best[:, i] if end == "low" else 1 - best[:, i]
+            outside = bool(len(near)) and bool(np.all(near < NEAR)) and max(ratios, default=0.0) > POOR
+            if share > PILED or outside:
                 lines.append(
-                    f"the prior of {p.name} seems to exclude the data: {share:.0%} of the posterior piles up at its "
-                    f"{end} end, {bound:g} {p.unit}; widen the prior, or an effect is missing"
+                    f"the prior of {p.name} seems to exclude the data: what fits best lies at its {end} end, "
+                    f"{bound:g} {p.unit}, and fits poorly; widen the prior, or an effect is missing"
                 )
-    noise, misfit = last.notes.get("floor_noise"), last.notes.get("floor_misfit")
-    if noise is not None and misfit is not None:
-        for name, n, m in zip(statistics, noise, misfit, strict=True):
-            ratio = m / max(n, 1e-9)
-            if ratio > MISFIT:
-                lines.append(
-                    f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what "
-                    "rollouts differ by; the posterior is widened for it, and an effect may be missing (tcbi diagnose)"
-                )
+    lines += [
+        f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
+        "the posterior is widened for it, and an effect may be missing (tcbi diagnose)"
+        for name, ratio in zip(statistics, ratios, strict=False)
+        if ratio > MISFIT
+    ]
     supported = last.notes.get("alpha_supported")
     if supported and not finished and last.alpha < 0.99 * supported:
         share = last.alpha / supported
@@ -151,3 +153,9 @@ def findings(
             "what they support, so the posterior is wider than need be; more generations narrow it"
         )
     return lines
+
+
+def _misfit_ratios(last: Generation) -> list[float]:
+    """Remaining divergence over what rollouts differ by, of each statistic; empty where the method knows neither."""
+    noise, misfit = last.notes.get("floor_noise", []), last.notes.get("floor_misfit", [])
+    return [m / max(n, 1e-9) for n, m in zip(noise, misfit, strict=True)]

@@ -5,7 +5,7 @@ Used to propose only. The weights always come from simulations, so a poor fit co
 
 import numpy as np
 
-SHARE = 0.5  # of the particles, those of least energy, that the quadratic is fitted to
+SHARE = 0.25  # of the particles, those of least energy, that the quadratic is fitted to
 WIDEN = 2.0  # on the covariance
 RIDGE = 1e-3
 

@@ -1,0 +1,66 @@
+"""Problems whose answer is known: a normal simulator, and a servo test bench with known parameters."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from tcbi_infer.divergence import Binning
+from tcbi_infer.tcbi.features import Features, Observed, divergences
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Measurement, Scenario
+from tcbi_sim.model import Model, base_model
+from tcbi_sim.rig import load_rig
+
+BENCH_TRUTH = (0.45, 0.6, 0.5)  # gain, damping, friction in the unit cube
+
+
+def normal_problem(
+    truth: float,
+    seed: int,
+    rollouts: int = 20,
+    samples: int = 40,
+    between: float = 0.1,
+    within: float = 0.3,
+    simulated_within: float | None = None,
+) -> tuple[Observed, Callable[[np.ndarray], Features], float]:
+    """x = first parameter + rollout's offset + noise, both normal; `simulated_within` makes the simulator a wrong one.
+
+    Returns:
+      The observed rollouts, the simulator, and the exact posterior standard deviation of theta under a flat prior.
+    """
+    rng = np.random.default_rng(seed)
+
+    def draw(theta: np.ndarray, spread: float) -> np.ndarray:
+        offset = between * rng.standard_normal((len(theta), rollouts, 1))
+        return theta[:, None, None] + offset + spread * rng.standard_normal((len(theta), rollouts, samples))
+
+    real = draw(np.array([truth]), within)
+    binning = Binning.of(real)
+
+    def counted(x: np.ndarray) -> np.ndarray:
+        return binning.counts(x)[:, :, None].astype(np.float32)
+
+    observed = Observed(counted(real)[0], np.array([0]), ("x",), ("x/x",))
+
+    def run(unit: np.ndarray) -> Features:
+        counts = counted(draw(unit[:, 0], within if simulated_within is None else simulated_within))
+        everyone = np.ones(len(unit), bool)
+        return Features(counts, divergences(observed.counts, counts), np.full(len(unit), np.nan), everyone)
+
+    return observed, run, float(np.sqrt((between**2 + within**2 / samples) / rollouts))
+
+
+def bench_rollouts(
+    unit: tuple[float, ...] = BENCH_TRUTH, count: int = 8, seed: int = 0, duration: float = 3.0, timestep: float = 0.005
+) -> tuple[Model, list[Measurement]]:
+    """Random steps of a servo bench with known parameters, simulated with other steps than inference uses, and noise."""
+    model, rig, rng = base_model("servo_bench"), load_rig("servo_bench"), np.random.default_rng(seed)
+    times = np.arange(0.0, duration, 0.4)
+    scenarios = [Scenario("steps", duration, seed=i) for i in range(count)]
+    commands = [Commands(times, rng.uniform(-1, 1, (len(times), 1))) for _ in scenarios]
+    truth = model.from_unit(np.array([unit]))
+    rollouts = simulate(model, truth, scenarios, commands=commands, timestep=timestep)
+    rollouts.joint_position += rig.noise.joint_position * rng.standard_normal(rollouts.joint_position.shape)
+    found = [rollouts.measurement(0, i, f"steps_{seed}_{i}", "steps") for i in range(count)]
+    return model, [dataclasses.replace(m, commands=c) for m, c in zip(found, commands, strict=True)]

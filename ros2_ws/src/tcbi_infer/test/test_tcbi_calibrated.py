@@ -1,0 +1,106 @@
+"""Calibrated TCBI on a problem with an exact posterior: covers the truth, is not much wider, does not narrow by itself."""
+
+import numpy as np
+import pytest
+from tcbi_cases import normal_problem
+
+from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi import calibrated
+from tcbi_infer.tcbi.result import estimates
+from tcbi_infer.tcbi.weights import mean_and_variance, normalised, quantiles
+from tcbi_sim.parameter import Parameter
+
+
+def run(truth: float, seed: int, generations: int = 4, dimensions: int = 1, **problem: float):
+    """State after all generations, and the exact standard deviation."""
+    observed, simulate, exact = normal_problem(truth, seed, **problem)  # type: ignore[arg-type]
+    settings = calibrated.CalibratedSettings(particles=40, generations=generations)
+    state = calibrated.init(dimensions)
+    while not calibrated.finished(state, settings):
+        rng = np.random.default_rng([seed, state.generation])
+        state, _ = calibrated.step(rng, state, simulate, observed, settings)
+    return state, exact
+
+
+@pytest.mark.slow
+def test_covers_the_truth_and_agrees_with_the_exact_posterior() -> None:
+    """12 truths. Were the 90 % intervals exact, fewer than 8 hits would have probability 0.4 %.
+
+    The width must lie between the exact posterior's and three times it: the simulations' own scatter and the histogram
+    cost a factor of about 1.5, and a short search is allowed to stay wide.
+    """
+    hits, ratios = 0, []
+    for seed in range(12):
+        truth = float(np.random.default_rng([seed, 1]).uniform(0.2, 0.8))
+        state, exact = run(truth, seed)
+        unit, log_weights = calibrated.posterior(state)
+        weights = normalised(log_weights)
+        low, high = quantiles(unit, weights, [0.05, 0.95])[:, 0]
+        hits += low <= truth <= high
+        _, variance = mean_and_variance(unit, weights)
+        ratios.append(np.sqrt(variance[0]) / exact)
+    assert hits >= 8
+    assert 0.9 < np.median(ratios) < 3.0
+
+
+def test_does_not_narrow_when_the_data_say_nothing() -> None:
+    """A parameter that changes nothing keeps its prior's width (ratio 1) over the generations, and is not identified.
+
+    With an effective sample size of 16 or more the ratio's standard error is below 0.3; 0.5 lies two of them off.
+    """
+    state, _ = run(0.5, 3, generations=5, dimensions=2)
+    parameters = [Parameter("real", "1", 0.0, 1.0, 0.5), Parameter("idle", "1", 0.0, 1.0, 0.5)]
+    real, idle = estimates(parameters, *calibrated.posterior(state))
+    assert real.identified and real.variance_ratio < 0.1
+    assert not idle.identified and idle.variance_ratio > 0.5
+
+
+def test_every_simulation_ever_run_counts() -> None:
+    state, _ = run(0.5, 0, generations=3)
+    assert len(state.z) == 120
+    assert sum(p.size for p in state.proposals) == 120
+    weights = normalised(state.log_weights)
+    assert weights[:40].sum() > 0 and weights[80:].sum() > 0
+
+
+def test_fewer_rollouts_give_a_wider_posterior() -> None:
+    def width(rollouts: int) -> float:
+        state, _ = run(0.5, 11, rollouts=rollouts)
+        unit, log_weights = calibrated.posterior(state)
+        return float(np.sqrt(mean_and_variance(unit, normalised(log_weights))[1][0]))
+
+    assert width(4) > 1.3 * width(40)
+
+
+def test_a_model_that_cannot_fit_does_not_sound_sure() -> None:
+    """Simulations ten times as scattered within a rollout as the robot: misfit far above the noise, and said."""
+    observed, right_one, _ = normal_problem(0.5, 0, within=0.05, between=0.02)
+    _, wrong_one, _ = normal_problem(0.5, 0, within=0.05, between=0.02, simulated_within=0.5)
+    settings = calibrated.CalibratedSettings(particles=40, generations=3)
+
+    def width(simulate) -> tuple[float, calibrated.CalibratedInfo]:
+        state = calibrated.init(1)
+        while not calibrated.finished(state, settings):
+            state, info = calibrated.step(np.random.default_rng(state.generation), state, simulate, observed, settings)
+        unit, log_weights = calibrated.posterior(state)
+        return float(np.sqrt(mean_and_variance(unit, normalised(log_weights))[1][0])), info
+
+    right, _ = width(right_one)
+    wide, info = width(wrong_one)
+    assert info.floor_misfit[0] > 4 * info.floor_noise[0]
+    assert wide > 3 * right
+
+
+def test_diverged_simulations_weigh_nothing_and_all_diverged_is_an_error() -> None:
+    observed, simulate, _ = normal_problem(0.5, 0)
+    settings = calibrated.CalibratedSettings(particles=40)
+
+    def failing(share: float):
+        return lambda unit: simulate(unit)._replace(valid=unit[:, 0] > share)
+
+    state, _ = calibrated.step(np.random.default_rng(0), calibrated.init(1), failing(0.4), observed, settings)
+    weights = normalised(state.log_weights)
+    unit, _ = calibrated.posterior(state)
+    assert np.all(weights[unit[:, 0] <= 0.4] == 0) and weights.sum() == pytest.approx(1.0)
+    with pytest.raises(InferError, match="all 40 simulations diverged"):
+        calibrated.step(np.random.default_rng(0), calibrated.init(1), failing(2.0), observed, settings)

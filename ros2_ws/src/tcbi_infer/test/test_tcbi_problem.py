@@ -1,0 +1,179 @@
+"""From rollouts to a posterior: recovery on a servo bench, same bits at any thread count, resuming, bad input named."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from tcbi_cases import BENCH_TRUTH, bench_rollouts
+
+from tcbi_infer import posterior
+from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi import checkpoint
+from tcbi_infer.tcbi.driver import Interrupted, Progress, infer
+from tcbi_infer.tcbi.method import METHODS
+from tcbi_infer.tcbi.problem import Problem, find_controllers
+from tcbi_infer.tcbi.result import Result
+from tcbi_sim.model import base_model
+from tcbi_sim.store import ModelStore
+
+SMALL = {"particles": 20, "generations": 3}
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return bench_rollouts()
+
+
+@pytest.fixture(scope="module")
+def problem(bench) -> Problem:
+    return Problem.of(*bench, timestep=0.01)
+
+
+@pytest.fixture(scope="module")
+def result(problem: Problem) -> Result:
+    return infer(problem, "calibrated", seed=1, particles=30, generations=4)
+
+
+def test_covers_known_parameters_and_finds_the_gain(result: Result) -> None:
+    """All three within 95 % intervals (two standard deviations here): false alarm 14 % over seeds; this seed is fixed."""
+    weights = np.exp(result.log_weights)
+    mean = weights @ result.unit
+    sd = np.sqrt(weights @ (result.unit - mean) ** 2)
+    assert np.all(np.abs(mean - BENCH_TRUTH) < 2 * sd)
+    gain = result.estimates[0]
+    assert gain.name == "gain" and gain.identified
+    assert gain.low90 <= float(result.model.from_unit(np.array(BENCH_TRUTH))[0]) <= gain.high90
+    assert sd[0] < 0.15
+
+
+def test_statistics_that_the_rig_lacks_are_named(result: Result) -> None:
+    text = " ".join(result.warnings)
+    assert "statistic attitude left out" in text and "statistic contact_ratio left out" in text
+    assert result.statistics == ("joint_tracking", "early_response")
+
+
+def test_same_bits_for_any_number_of_threads_and_any_company(bench) -> None:
+    unit = np.random.default_rng(0).random((6, 3))
+    one, two = (Problem.of(*bench, timestep=0.01, threads=n) for n in (1, 2))
+    a, b = one.simulate(unit), two.simulate(unit)
+    assert all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
+    alone = one.simulate(unit[3:4])
+    assert np.array_equal(alone.counts[0], a.counts[3])
+
+
+def test_the_same_seed_gives_the_same_posterior(problem: Problem) -> None:
+    first, second = (infer(problem, "paper", seed=4, **SMALL) for _ in range(2))
+    other = infer(problem, "paper", seed=5, **SMALL)
+    assert np.array_equal(first.unit, second.unit) and np.array_equal(first.log_weights, second.log_weights)
+    assert not np.array_equal(first.unit, other.unit)
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_an_interrupted_inference_goes_on_to_the_same_result(problem: Problem, method: str, tmp_path: Path) -> None:
+    def interrupt(progress: Progress) -> None:
+        if progress.generation == 3 and progress.share == 0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted, match="goes on from the last whole generation"):
+        infer(problem, method, seed=2, folder=tmp_path, watch=interrupt, **SMALL)
+    assert list(tmp_path.glob("*/state.npz"))
+    resumed = infer(problem, method, seed=2, folder=tmp_path, **SMALL)
+    through = infer(problem, method, seed=2, **SMALL)
+    assert any("resumed" in line for line in resumed.warnings)
+    assert np.array_equal(resumed.unit, through.unit) and np.array_equal(resumed.log_weights, through.log_weights)
+    assert len(resumed.generations) == 3
+    assert not list(tmp_path.glob("*/state.npz"))
+
+
+def test_a_damaged_state_is_not_used(tmp_path: Path) -> None:
+    (tmp_path / "state.npz").write_bytes(b"PK\x03\x04 cut off")
+    assert checkpoint.load(tmp_path / "state.npz", METHODS["paper"].state_type) is None
+
+
+def test_the_posterior_opens_in_arviz_and_becomes_a_model_version(result: Result, tmp_path: Path) -> None:
+    store = ModelStore(tmp_path)
+    saved = store.save(posterior.updated(result))
+    path = store.models / saved.version / "posterior.nc"
+    posterior.write(path, result)
+    assert saved.parent == "servo_bench-v0"
+    again = store.load(saved.version)
+    assert np.allclose(again.particles, result.particles)
+    assert again.evidence["inference"]["rollouts"] == list(result.rollouts)
+    import arviz
+
+    data = arviz.from_netcdf(path)
+    assert set(data["posterior"].data_vars) == {"gain", "damping", "friction"}
+    mean = float(np.exp(result.log_weights) @ result.particles[:, 0])
+    assert float(data["posterior"]["gain"].mean()) == pytest.approx(mean, rel=0.05)
+    with xr.open_dataset(path, group="generations") as rows:
+        assert rows.sizes == {"generation": len(result.generations), "parameter": 3, "statistic": 2}
+
+
+def test_a_prior_that_excludes_the_data_is_named(bench) -> None:
+    model, measurements = bench
+    low, high = model.parameters[0].low, model.parameters[0].high
+    middle = low * (high / low) ** 0.2  # the truth lies at 0.45
+    narrowed = dataclasses.replace(model.parameters[0], high=middle, nominal=low * 1.01)
+    particles = model.particles.copy()
+    particles[:, 0] = np.clip(particles[:, 0], low, middle)
+    wrong = dataclasses.replace(model, parameters=(narrowed, *model.parameters[1:]), particles=particles)
+    found = infer(Problem.of(wrong, measurements, timestep=0.01), seed=0, particles=30, generations=5)
+    assert any("prior of gain seems to exclude the data" in line for line in found.warnings)
+
+
+def test_rollouts_of_another_rig_are_refused(bench) -> None:
+    with pytest.raises(InferError, match="is of rig hexapod.*of servo_bench"):
+        Problem.of(base_model("hexapod"), bench[1])
+
+
+def test_too_few_or_identical_rollouts_are_refused(bench) -> None:
+    model, measurements = bench
+    with pytest.raises(InferError, match="at least 2 are needed"):
+        Problem.of(model, measurements[:1])
+    copies = [dataclasses.replace(measurements[0], rollout_id=f"copy{i}") for i in range(4)]
+    with pytest.raises(InferError, match="identical to the last bit"):
+        Problem.of(model, copies)
+
+
+def test_few_rollouts_mixed_tasks_and_repeated_ids_are_said(bench) -> None:
+    model, measurements = bench
+    other = dataclasses.replace(measurements[2].scenario, task="swing")
+    mixed = [*measurements[:2], dataclasses.replace(measurements[2], scenario=other), measurements[0]]
+    problem = Problem.of(model, mixed, timestep=0.01)
+    text = " ".join(problem.warnings)
+    assert "only 3 rollouts" in text and "several tasks (steps, swing)" in text and "each counts once" in text
+    assert problem.blocks == 3 and problem.observed.counts.shape[0] == 9
+
+
+def test_recordings_of_unequal_length_are_each_cut_to_their_own_group(bench) -> None:
+    model, measurements = bench
+    short = dataclasses.replace(measurements[0].scenario, duration=1.5)
+    problem = Problem.of(
+        model, [dataclasses.replace(measurements[0], scenario=short), *measurements[1:]], timestep=0.01
+    )
+    assert sorted(round(g.duration, 1) for g in problem.groups) == [1.5, 3.0]
+    assert problem.simulate(np.full((2, 3), 0.5)).counts.shape[:2] == (2, 8)
+
+
+def test_without_its_policy_the_commands_are_replayed_and_that_is_said(bench) -> None:
+    controllers, said = find_controllers(bench[1], "auto", None)
+    assert controllers == {} and said.startswith("open loop: the recorded commands are replayed, since")
+
+
+def test_unknown_names_are_refused(problem: Problem, bench) -> None:
+    with pytest.raises(InferError, match="unknown method 'abc'"):
+        infer(problem, "abc")
+    with pytest.raises(InferError, match="unknown statistic"):
+        Problem.of(*bench, statistics=("speed",))
+    with pytest.raises(InferError, match="unknown divergence"):
+        Problem.of(*bench, divergence_name="kl")
+
+
+def test_every_divergence_ranks_the_truth_before_a_wrong_gain(bench) -> None:
+    unit = np.array([BENCH_TRUTH, (0.9, *BENCH_TRUTH[1:])])
+    for name in ("js", "js_nearest", "wasserstein"):
+        problem = Problem.of(*bench, divergence_name=name, timestep=0.01)
+        right, wrong = problem.observed.by_statistic(problem.simulate(unit).divergence).sum(axis=1)
+        assert right < wrong
