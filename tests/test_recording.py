@@ -3,6 +3,7 @@
 import resource
 import shutil
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory
 
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_contract import messages, names
@@ -122,6 +124,12 @@ def test_a_killed_recorder_loses_at_most_the_last_second(start_graph, peer, tmp_
     final = tmp_path / "bags" / left.name.removesuffix(".recording")
     peer.wait_until((final / "metadata.yaml").is_file, "the next recorder's repair")
     assert len(read_measurement(final).time) == len(m.time)
+    given: list[float] = []
+    peer.node.create_subscription(
+        JointTrajectory, names.JOINT_COMMANDS, lambda _: given.append(time.monotonic()), messages.STREAM_QOS
+    )
+    listening = time.monotonic()
+    peer.wait_until(lambda: time.monotonic() - max([listening, *given]) > 1.0, "the policy to rest")
 
 
 def test_a_second_recorder_on_the_same_folder_ends_with_one_line(start_graph, tmp_path):

@@ -71,6 +71,15 @@ class Collector:
         """Whether this event is the collector's own, heard back."""
         return bool(self._rollout_id) and name == self._rollout_id
 
+    def stop_policy(self) -> bool:
+        """Ask the policy to rest, without waiting; False while there is none to ask."""
+        if self.busy:
+            return True  # the collection that runs decides
+        if not self._enable.service_is_ready():
+            return False
+        self._enable.call_async(SetBool.Request(data=False))
+        return True
+
     async def run(self, goal: Any) -> Any:
         """Serve one goal, and answer whatever happens."""
         result = CollectRollouts.Result()

@@ -63,6 +63,7 @@ class RecorderNode(Node):
         self.folder = RecordingFolder(self.values.folder)
         for line in self.folder.repaired:
             self.get_logger().warning(line)
+        self._calm = bool(self.folder.repaired)  # a rollout was cut off: whatever moved the robot may do so still
         self.recorder = Recorder(self.resolve_topic_name(names.ROLLOUT_EVENT))
         self.fault = ""  # the last failure of the disk
         self.lost = 0  # messages that the middleware dropped
@@ -206,6 +207,7 @@ class RecorderNode(Node):
         self._diagnose()
 
     def _on_tick(self) -> None:
+        self._calm = self._calm and not self.collector.stop_policy()
         if self._foreign_end is not None and self.recorder.settled(time.monotonic()):
             self._finish_foreign(self._foreign_end)
 

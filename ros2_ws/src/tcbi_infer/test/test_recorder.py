@@ -17,9 +17,10 @@ from tcbi_infer.bags.encoding import joint_command, messages
 from tcbi_infer.bags.files import find_bags, is_recording
 from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.bags.reader import read_measurement
+from tcbi_infer.bags.recovery import recover
 from tcbi_infer.bags.scan import Scan
 from tcbi_infer.bags.writer import WholeFile
-from tcbi_infer.errors import RecordingError
+from tcbi_infer.errors import BagError, RecordingError
 from tcbi_infer.recorder import BEFORE_S, SETTLE_S, Recorder
 
 
@@ -192,6 +193,24 @@ def test_a_killed_recorders_rollout_is_repaired_by_the_next_one(folder, recorder
     with RecordingFolder(folder.path) as again:
         assert len(again.repaired) == 1 and "416" not in again.repaired[0] and "now in walk_1" in again.repaired[0]
     assert len(read_measurement(folder.path / "walk_1").time) == len(feed.case.time)
+
+
+def test_a_rollout_that_is_being_recorded_cannot_be_repaired(folder, recorder):
+    feed = Feed()
+    recorder.begin(folder, "walk_1", feed.begin, feed.first)
+    feed.into(recorder)
+    recorder.flush()
+    with pytest.raises(BagError, match="is being recorded right now"):
+        recover(folder.path / "walk_1.recording")
+
+
+def test_what_a_killed_recorder_left_empty_is_kept_aside(folder):
+    (folder.path / "walk_1.recording").mkdir()
+    (folder.path / "walk_1.recording" / "walk_1_0.mcap").write_bytes(b"\x89MCAP0\r\n")
+    folder.close()
+    with RecordingFolder(folder.path) as again:
+        assert "is kept as walk_1.damaged" in again.repaired[0]
+        assert [p.name for p in folder.path.glob("walk*")] == ["walk_1.damaged"]
 
 
 def _full(self, data: bytes) -> int:

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from tcbi_infer.bags.files import LOCK
+from tcbi_infer.bags.files import ASIDE, LOCK
 from tcbi_infer.bags.recovery import recover
 from tcbi_infer.bags.writer import UNFINISHED
 from tcbi_infer.errors import BagError, RecordingError
@@ -63,9 +63,15 @@ class RecordingFolder:
         lines = []
         for left in sorted(self.path.glob(f"*{UNFINISHED}")):
             try:
-                recovery = recover(left)
-            except (BagError, RecordingError) as e:
-                lines.append(f"{left.name} was left unfinished and cannot be repaired: {e}")
+                recovery = recover(left, owned=True)
+            except RecordingError as e:
+                lines.append(f"{left.name} was left unfinished and cannot be repaired now: {e}")
+                continue
+            except BagError as e:
+                aside = left.with_suffix(ASIDE)
+                if not aside.exists():
+                    left.rename(aside)
+                lines.append(f"{left.name} was left unfinished and cannot be repaired, it is kept as {aside.name}: {e}")
                 continue
             lines.append(
                 f"{left.name} was left unfinished; {recovery.messages} messages over {recovery.seconds:.1f} s are now "

@@ -10,9 +10,9 @@ from pathlib import Path
 import yaml
 
 from tcbi_infer.bags import schemas
-from tcbi_infer.bags.files import ASIDE, bag_name, mcap_files
+from tcbi_infer.bags.files import ASIDE, bag_name, is_recording, mcap_files
 from tcbi_infer.bags.scan import Channel, Message, Scan
-from tcbi_infer.bags.writer import BagWriter, offered_qos
+from tcbi_infer.bags.writer import UNFINISHED, BagWriter, offered_qos
 from tcbi_infer.errors import BagError
 
 
@@ -33,15 +33,21 @@ class Recovery:
         return self.original is not None
 
 
-def recover(bag: Path) -> Recovery:
+def recover(bag: Path, owned: bool = False) -> Recovery:
     """Repair a bag's folder or a bare .mcap file in place, keeping the original aside.
+
+    Args:
+      owned: the caller holds the lock of the folder that the bag is in.
 
     Raises:
       BagError: it is no recording, or not one message of it can be read.
       RecordingError: the disk is full; the original is untouched then.
     """
+    bag = bag.parent if bag.name == "metadata.yaml" else bag
     files = mcap_files(bag)
     is_folder = bag.is_dir()
+    if not owned and bag.suffix == UNFINISHED and is_recording(bag.parent):
+        raise BagError(f"{bag}: is being recorded right now; wait for its end, or stop the recorder")
     recovery = Recovery(bag)
     scans = [Scan(file) for file in files]
     first, last = _survey(scans, recovery)
