@@ -1,0 +1,85 @@
+"""Reports: self-contained, escaped, written whole."""
+
+import dataclasses
+import re
+
+import pytest
+
+from tcbi_infer.diagnose.evidence import Diagnosis, Evidence, ParameterEstimate
+from tcbi_infer.errors import InferError
+from tcbi_infer.report import Report, Section, Table, add_diagnosis, add_history
+from tcbi_infer.report.page import cell
+
+SIZE = ParameterEstimate("coulomb_friction.torque", "N m", 0.055, 0.05, 0.061, 0.0)
+NAMED = Evidence("coulomb_friction", "coulomb_friction", 310.0, 42.0, 7.3, 4.1, 1.4, (SIZE,), True, True, True)
+OTHER = dataclasses.replace(
+    NAMED, effect="weak_leg", use="weak_leg:lm", elpd_gain=5.0, accepted=False, reason="too weak"
+)
+DIAGNOSIS = Diagnosis(
+    model="hexapod-v0",
+    verdict="effect",
+    effects=("coulomb_friction",),
+    uses=("coulomb_friction",),
+    statement="The model lacks coulomb_friction.",
+    ranking=(NAMED, OTHER),
+    seconds=80.0,
+    rollouts=("a", "b"),
+    sealed=("b",),
+    threshold=2.2,
+    errors={"unfitted": 40.0, "base": 4.1, "coulomb_friction": 1.4},
+    floor_from_replicates=True,
+    untestable=("lost_commands",),
+    guards=(),
+    claims=("7 kinds of motion were held out in turn.",),
+    base=NAMED,
+)
+
+
+def page() -> str:
+    report = Report("What does the model lack?", "Two rollouts.")
+    add_diagnosis(report, DIAGNOSIS)
+    add_history(report, [("hexapod-v0", "–", "none", 9.3), ("hexapod-v1", "hexapod-v0", "backlash", 1.4)])
+    return report.html()
+
+
+def test_a_report_loads_nothing_from_elsewhere():
+    links = re.findall(r'(?:src|href)="([^"]+)"', page()) + re.findall(r"@import|url\((?!#)", page())
+    assert all(link.startswith("#") for link in links)
+
+
+def test_verdict_ranking_size_and_caveats_are_on_the_page():
+    text = page()
+    for words in ("The model lacks coulomb_friction.", "weak_leg:lm", "0.055 N m", "lost_commands", "held out in turn"):
+        assert words in text
+
+
+def test_figures_take_the_colour_of_the_page_and_share_no_ids():
+    ids = re.findall(r' id="([^"]+)"', page())
+    assert "currentColor" in page() and len(ids) == len(set(ids))
+
+
+def test_text_from_recordings_cannot_become_markup():
+    report = Report("<b>bag</b>")
+    report.add(Section("s", notes=["<script>alert(1)</script>"], table=Table(["a"], [["<i>"]])))
+    assert "<script>" not in report.html() and "<b>bag" not in report.html() and "<i>" not in report.html()
+
+
+def test_json_of_a_diagnosis_has_the_keys_of_the_contract():
+    data = DIAGNOSIS.to_json()
+    assert {"model", "verdict", "effects", "ranking", "seconds"} <= set(data)
+    keys = {"effect", "elpd_gain", "elpd_se", "error_before", "error_after", "parameters"}
+    assert keys <= set(data["ranking"][0])
+    assert {"name", "unit", "value", "low90", "high90", "null"} <= set(data["ranking"][0]["parameters"][0])
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InferError, match="cannot write the report"):
+        Report("x").write(tmp_path / "file" / "report.html")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1.23456, "1.23"), (float("nan"), "–"), (None, "–"), (12345.6, "12,346"), (True, "yes")]
+)
+def test_cells_are_short(value, text):
+    assert cell(value) == text
