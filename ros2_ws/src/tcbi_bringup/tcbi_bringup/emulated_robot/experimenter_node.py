@@ -23,9 +23,8 @@ from tcbi_contract.messages import STREAM_QOS, tracker_pose
 from tcbi_contract.names import TRACKER_POSE
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
+from tcbi_infer.names import PLACE_ROBOT
 from tcbi_msgs.srv import ResetEpisode
-
-PLACE_ROBOT = "place_robot"
 
 
 @dataclass(frozen=True)

@@ -66,11 +66,12 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps(specimen.truth()))
         return 0
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
     body = LiveBody(specimen, options.trial)
     electronics = Electronics(body, calibration.load(options.calibration), options.ports)
     with contextlib.ExitStack() as stack:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before = signal.signal(number, lambda *_: stop.set())
+            stack.callback(signal.signal, number, before)
         server = stack.enter_context(ExperimenterServer(body, options.socket or default_socket_path()))
         terminals = [stack.enter_context(_terminal(link)) for link in _links(options.link_path, options.ports)]
         for terminal in terminals:
