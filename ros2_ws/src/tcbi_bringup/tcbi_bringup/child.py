@@ -1,28 +1,32 @@
-"""What a new process does before it becomes the program: it must not outlive the one that started it."""
+"""A program's first steps as a child of the launcher: it must not outlive the one that started it.
+
+Run as a script by the launcher, `child.py PARENT COMMAND…`, which becomes COMMAND. A step of its own rather than a
+function between fork and exec, because the launcher has threads. Standard library only, since it starts without site
+packages.
+"""
 
 import ctypes
 import os
 import signal
+import sys
+from collections.abc import Sequence
 
 _PR_SET_PDEATHSIG = 1
-_libc = ctypes.CDLL(None, use_errno=True)
 
 
-def prepare_child(parent: int) -> None:
-    """For `subprocess.Popen(preexec_fn=...)`: SIGTERM when the starting thread ends; Ctrl-C works as usual.
+def tied_to(parent: int, command: Sequence[str]) -> list[str]:
+    """`command` as a command line whose process gets SIGTERM when the thread of `parent` that starts it ends."""
+    return [sys.executable, "-I", "-S", os.path.abspath(__file__), str(parent), *command]
 
-    Args:
-      parent: process id of the starter.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell's `&` leaves it ignored
-    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+def main(parent: int, command: Sequence[str]) -> None:
+    """Become `command`, tied to the parent; Ctrl-C works as usual, even below a shell's `&`."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:  # it was gone before the call above
-        os._exit(1)
+        sys.exit(1)
+    os.execv(command[0], list(command))
 
 
-def foreign_environment() -> dict[str, str]:
-    """The environment for a program that is not of this virtual environment, without its libraries and its guard."""
-    environment = dict(os.environ)
-    for name in ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH", "VIRTUAL_ENV"):
-        environment.pop(name, None)
-    return environment
+if __name__ == "__main__":
+    main(int(sys.argv[1]), sys.argv[2:])

@@ -17,7 +17,6 @@ No rclpy in here: one thread owns all the processes, and nothing blocks the call
 """
 
 import contextlib
-import functools
 import json
 import os
 import shlex
@@ -31,7 +30,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from tcbi_bringup.child import prepare_child
+from tcbi_bringup.child import tied_to
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.executables import find_executable
 
@@ -136,13 +135,12 @@ class _Supervised:
             log.write(f"{LOG_MARK}{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
             log.flush()
             self.process = subprocess.Popen(
-                self.command,
+                tied_to(os.getpid(), self.command),
                 env={**environment, **self.what.environment},
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                preexec_fn=functools.partial(prepare_child, os.getpid()),
             )
         self.status = replace(self.status, state="running", pid=self.process.pid, started=time.time())
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from tcbi_bringup.commands import console
 
 SUMMARY = "Start the graph of nodes on a simulation, an emulated robot or a real one; Ctrl-C stops all of it."
+INTERRUPTED = 130
 PORT_S = 20.0  # time an emulated robot has to open its port
 
 
@@ -62,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
     asked = end_requests()
     with hold_domain(domain, options.namespace), GraphMonitor(domain, options.namespace) as monitor:
         refuse_second_graph(monitor, domain, options.namespace)
+        if asked():
+            return INTERRUPTED
         with (
             tempfile.TemporaryDirectory(prefix="tcbi-") as run_folder,
             Graph(domain_id=domain, log_dir=folder, restart=True) as graph,
