@@ -17,17 +17,17 @@ class TrainingConfig:
     seed: int = 0
     steps: int = 200_000  # control steps of all environments together
     budget_s: float = 0.0  # stop after this much time, too; 0 for no limit
-    environments: int = 256
+    environments: int = 64
     timestep: float = 0.01  # s of the physics
     threads: int = 0  # 0 for all processors
     learning_rate: float = 1e-3
-    batch_size: int = 1024
-    gamma: float = 0.95
+    batch_size: int = 256
+    gamma: float = 0.8
     layers: tuple[int, ...] = (256, 256)
     reward_scale: float = 1e-2  # of what the algorithm sees
-    epochs: int = 8  # PPO: passes over each set of episodes
+    epochs: int = 10  # PPO: passes over each set of episodes
     gae_lambda: float = 0.9  # PPO
-    noise: float = 0.35  # PPO: standard deviation at the start, before the tanh
+    noise: float = 0.4  # PPO: standard deviation at the start, before the tanh
     clip: float = 0.2  # PPO
     warm_up: int = 0  # PPO: sets of episodes that only fit the value of a policy that is already there
     updates: int = 8  # SAC: gradient steps a step of all environments
@@ -35,7 +35,7 @@ class TrainingConfig:
     buffer: int = 300_000  # SAC
     imitate: str = ""  # a cyclic gait that the policy copies before it learns by reward
     imitate_rounds: int = 4  # sets of episodes for it
-    evaluate_every: int = 2  # sets of episodes between evaluations on fixed seeds
+    evaluate_every: int = 5  # sets of episodes between evaluations on fixed seeds
     evaluations: int = 48  # rollouts each
 
     def to_json(self) -> str:
@@ -84,16 +84,17 @@ _PAPER = TrainingConfig(
 PRESETS: dict[str, dict[str, TrainingConfig]] = {
     # PPO: a policy that is useful after minutes on two cores
     "fast": {
-        "balance": TrainingConfig("balance", steps=102_400),
+        "balance": TrainingConfig("balance", steps=81_920),
         "forward": TrainingConfig(
             "forward",
-            steps=150_000,
-            environments=64,
+            steps=110_400,
+            environments=32,
             imitate="tripod",
-            warm_up=2,
+            warm_up=1,
             noise=0.15,
             learning_rate=3e-4,
             reward_scale=1e-3,
+            evaluations=32,
         ),
     },
     # SAC with the paper's settings (Table 2), one update a step; about half a day of processor time each

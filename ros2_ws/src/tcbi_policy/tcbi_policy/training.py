@@ -125,6 +125,7 @@ class Training:
             self.algorithm.learn(
                 self.config.steps - self.state.steps, callback=_Progress(self), reset_num_timesteps=False
             )
+            self._count()
         self._clock()
         self._evaluate()
         policy = self._artefact()
@@ -149,10 +150,14 @@ class Training:
         self.state.cpu += cpu - self._began_cpu
         self._began, self._began_cpu = now, cpu
 
+    def _count(self) -> None:
+        """Note the sets that are complete; one that the budget cut short does not count."""
+        self.state.sets = self.environment.generation
+        self.state.steps = self.state.sets * self.environment.steps * self.config.environments
+
     def next_set(self) -> None:
         """Between two sets of episodes: evaluate, save, report, and seed the next one."""
-        self.state.steps = self.algorithm.num_timesteps
-        self.state.sets = self.environment.generation
+        self._count()
         self._clock()
         due = self.state.sets % self.config.evaluate_every == 0
         if due:
@@ -271,7 +276,8 @@ class _Progress(BaseCallback):
             self._training.next_set()
 
     def _on_step(self) -> bool:
-        return not self._training.out_of_time()  # a set that is not complete is not learnt from
+        between_sets = self._training.environment.generation != self._sets
+        return between_sets or not self._training.out_of_time()  # a set that is not complete is not learnt from
 
 
 def _algorithm(config: TrainingConfig, environment: HexapodVecEnv) -> BaseAlgorithm:

@@ -1,0 +1,91 @@
+"""Retraining: only what is better with confidence is accepted, and the job says so either way."""
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tcbi_policy import retraining
+from tcbi_policy.artefact import find_policy, policy_paths
+from tcbi_policy.configuration import TrainingConfig
+from tcbi_policy.errors import PolicyNotFound, TrainingError
+from tcbi_policy.retraining import Job, next_name, plan, reference_of, retrain
+
+TINY = TrainingConfig("balance", steps=320, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
+
+
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retraining, "preset", lambda name, task: dataclasses.replace(TINY, task=task))
+
+
+def job(tmp_path: Path, **changes: Any) -> Job:
+    return dataclasses.replace(Job("balance", current="balance", store=tmp_path), **changes)
+
+
+def test_a_trained_policy_is_where_training_goes_on_unless_scratch_is_asked_for(tmp_path: Path) -> None:
+    assert plan(job(tmp_path)).start == "balance"
+    assert plan(job(tmp_path)).config.warm_up == 2
+    assert plan(job(tmp_path, start="none")).start == ""
+    assert plan(job(tmp_path, current="gait:stand")).start == ""
+    assert plan(job(tmp_path)).model == "hexapod-v0"
+
+
+def test_a_policy_of_another_task_is_no_start(tmp_path: Path) -> None:
+    assert plan(job(tmp_path, task="forward")).start == ""
+    with pytest.raises(TrainingError, match="balance"):
+        plan(job(tmp_path, task="forward", start="balance"))
+    with pytest.raises(TrainingError, match="trained policy"):
+        plan(job(tmp_path, start="gait:stand"))
+
+
+def test_the_budget_of_the_request_holds(tmp_path: Path) -> None:
+    config = plan(job(tmp_path, budget_s=12.0, budget_steps=77, seed=5)).config
+    assert (config.budget_s, config.steps, config.seed) == (12.0, 77, 5)
+
+
+def test_the_same_job_has_the_same_folder_and_another_one_another(tmp_path: Path) -> None:
+    keys = [plan(job(tmp_path, seed=seed)).key("retrain") for seed in (0, 0, 1)]
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_a_job_ends_with_a_verdict_and_only_a_better_policy_is_kept(tmp_path: Path) -> None:
+    events: list[dict[str, Any]] = []
+    outcome = retrain(job(tmp_path), events.append)
+    assert next(e for e in events if e["event"] == "comparison")["pairs"] == 64
+    assert ("held-out" in outcome.message) and not outcome.cancelled
+    assert outcome.accepted == (next_name(tmp_path, "balance") == "balance-2")
+    assert outcome.accepted == bool(outcome.reference)
+    assert Path(outcome.path).exists()
+
+
+def test_a_hopeless_rival_is_replaced_by_a_policy_with_a_name_of_its_own(tmp_path: Path) -> None:
+    outcome = retrain(job(tmp_path, current="gait:dither", start="balance", budget_steps=1), lambda event: None)
+    assert outcome.accepted and outcome.reference == "balance-1"
+    assert outcome.return_after > outcome.return_before
+    policy = find_policy("balance-1", tmp_path)
+    assert policy.policy_id.startswith("balance-1@")
+    assert reference_of(policy.policy_id, tmp_path) == "balance-1"
+
+
+def test_a_cancelled_job_ends_within_a_second_and_goes_on_later(tmp_path: Path) -> None:
+    events: list[dict[str, Any]] = []
+    cancelled_at: list[float] = []
+
+    def cancelled() -> bool:
+        if any(e["event"] == "progress" and e["steps"] for e in events):
+            cancelled_at.append(time.monotonic())
+        return bool(cancelled_at)
+
+    outcome = retrain(job(tmp_path, budget_steps=10**6), events.append, cancelled)
+    assert outcome.cancelled and time.monotonic() - cancelled_at[0] < 1.0
+    assert list((tmp_path / "runs").glob("retrain-balance-*/checkpoint.safetensors"))
+    assert "balance-1" not in policy_paths(tmp_path)
+
+
+def test_a_policy_id_stands_for_a_name_only_as_long_as_the_name_holds_it(tmp_path: Path) -> None:
+    assert reference_of("gait:tripod", tmp_path) == "gait:tripod"
+    with pytest.raises(PolicyNotFound, match="is another one"):
+        reference_of("balance@00000000", tmp_path)

@@ -1,0 +1,177 @@
+"""Training: the deployed network is the trained one, a killed run goes on to the same result, gaits can be copied."""
+
+import dataclasses
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tcbi_policy import imitation
+from tcbi_policy.artefact import Policy, load_policy
+from tcbi_policy.configuration import PRESETS, TrainingConfig, preset
+from tcbi_policy.errors import TrainingError
+from tcbi_policy.gaits import CYCLES
+from tcbi_policy.imitation import next_posture
+from tcbi_policy.runs import Run, TrainingProcess, write_run
+from tcbi_policy.stable_baselines import OBSERVATION_SCALE
+from tcbi_policy.training import Training
+from tcbi_sim.model import base_model
+
+MODEL = base_model("hexapod")
+TINY = TrainingConfig("balance", steps=480, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
+
+
+class Killed(Exception):
+    """Stands for the end of the process."""
+
+
+def train(folder: Path, config: TrainingConfig = TINY, die_after: int = -1, **options: Any) -> Policy:
+    folder.mkdir(exist_ok=True)
+    progress = 0
+
+    def report(event: dict[str, Any]) -> None:
+        nonlocal progress
+        progress += event["event"] == "progress"
+        if event["event"] == "progress" and progress == die_after:
+            raise Killed
+
+    return Training(folder, config, MODEL, report=report, **options).run()
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_what_is_deployed_acts_as_what_was_trained(tmp_path: Path, algorithm: str) -> None:
+    config = dataclasses.replace(TINY, algorithm=algorithm, steps=160, updates=1)
+    training = Training(tmp_path, config, MODEL)
+    training.run()
+    observation = np.random.default_rng(0).normal(0, 0.3, (50, 21))
+    scaled = (observation * OBSERVATION_SCALE).astype(np.float32)
+    action, _ = training.algorithm.predict(scaled, deterministic=True)
+    expected = training.environment.limit * (np.tanh(action) if algorithm == "ppo" else action)
+    np.testing.assert_allclose(training.present()(observation), expected, atol=1e-6)
+
+
+def test_a_killed_run_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+    whole = train(tmp_path / "whole")
+    with pytest.raises(Killed):
+        train(tmp_path / "killed", die_after=2)
+    resumed = train(tmp_path / "killed")
+    assert resumed.card.sha256 == whole.card.sha256
+    assert [p["steps"] for p in resumed.card.curve] == [p["steps"] for p in whole.card.curve]
+
+
+def test_training_changes_the_policy_and_the_card_tells_how(tmp_path: Path) -> None:
+    policy = load_policy(train(tmp_path).path or Path())
+    card = policy.card
+    assert (card.task, card.model, card.training["seed"], card.training["algorithm"]) == (
+        "balance",
+        "hexapod-v0",
+        0,
+        "ppo",
+    )
+    assert card.training["steps_taken"] == 480
+    assert set(card.posterior) == {"friction", "mass", "gain"} and card.posterior["mass"]["unit"] == "kg"
+    assert card.libraries["mujoco"].startswith("4.")
+    assert card.curve[0]["steps"] == 0 and card.curve[-1]["steps"] == 480
+
+
+def test_a_start_policy_is_where_training_starts(tmp_path: Path) -> None:
+    first = train(tmp_path / "first")
+    second = Training(tmp_path, TINY, MODEL, start=first)
+    observation = np.random.default_rng(0).normal(0, 0.3, (20, 21))
+    np.testing.assert_allclose(second.present()(observation), first.mlp(observation), atol=1e-6)
+
+
+def test_a_warm_up_leaves_the_policy_as_it_is(tmp_path: Path) -> None:
+    training = Training(tmp_path, dataclasses.replace(TINY, warm_up=3), MODEL)
+    before = training.present().tensors()
+    training.run()
+    for name, array in training.present().tensors().items():
+        np.testing.assert_array_equal(array, before[name])
+
+
+def test_a_budget_in_seconds_ends_the_run(tmp_path: Path) -> None:
+    policy = train(tmp_path, dataclasses.replace(TINY, steps=10**9, budget_s=0.5))
+    assert policy.card.training["steps_taken"] < 10**6
+
+
+def test_sac_goes_on_with_what_it_remembers(tmp_path: Path) -> None:
+    config = dataclasses.replace(TINY, algorithm="sac", updates=1, batch_size=8)
+    with pytest.raises(Killed):
+        train(tmp_path, config, die_after=3)
+    training = Training(tmp_path, config, MODEL)
+    training.run()
+    buffer: Any = training.algorithm.replay_buffer  # type: ignore[attr-defined]
+    assert buffer.size() == 480 // 4
+
+
+def test_the_posture_after_the_nearest_one_is_what_a_gait_teaches() -> None:
+    cycle = CYCLES["tripod"]
+    noisy = cycle + np.random.default_rng(0).normal(0, 0.02, cycle.shape)
+    np.testing.assert_array_equal(next_posture(cycle, noisy), np.roll(cycle, -1, axis=0))
+
+
+def test_a_policy_that_copied_the_tripod_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(imitation, "UPDATES", 250)
+    config = dataclasses.replace(TINY, task="forward", steps=1, imitate="tripod", imitate_rounds=2, evaluations=4)
+    training = Training(tmp_path, dataclasses.replace(config, warm_up=1), MODEL)
+    training.run()
+    assert training.state.curve[0]["distance_m"] > 0.05  # standing moves it by less than 0.01
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"algorithm": "dqn"}, "ppo or sac"),
+        ({"steps": 0}, "steps"),
+        ({"gamma": 1.0}, "gamma"),
+        ({"budget_s": -1.0}, "budget_s"),
+    ],
+)
+def test_a_senseless_configuration_is_refused_by_name(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(TrainingError, match=says):
+        dataclasses.replace(TINY, **changes).checked()
+
+
+def test_presets_exist_for_both_tasks_and_the_papers_settings_are_the_papers() -> None:
+    assert {task for p in PRESETS.values() for task in p} == {"balance", "forward"}
+    paper = preset("paper", "forward")
+    settings = (
+        paper.algorithm,
+        paper.steps,
+        paper.learning_rate,
+        paper.batch_size,
+        paper.gamma,
+        paper.tau,
+        paper.layers,
+    )
+    assert settings == ("sac", 5_000_000, 1e-3, 256, 0.99, 0.005, (256, 256))
+    assert paper.updates == paper.environments  # one update for each step
+    with pytest.raises(TrainingError, match="fast, paper"):
+        preset("quick", "balance")
+
+
+def test_a_process_that_is_killed_says_so_and_the_next_one_resumes(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0", str(tmp_path)))
+    with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="signal 9"):
+        for event in process.events():
+            if event["event"] == "progress" and event["steps"] >= 160:
+                os.kill(process.pid, signal.SIGKILL)
+    with TrainingProcess(folder) as process:
+        events = list(process.events())
+    assert events[0]["event"] == "resumed" and events[0]["steps"] >= 160
+    assert events[-1]["event"] == "done" and Path(events[-1]["policy"]).exists()
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
+    write_run(tmp_path, Run(TINY, "hexapod-v0"))
+    with pytest.raises(TrainingError, match="another training run"):
+        write_run(tmp_path, Run(dataclasses.replace(TINY, seed=1), "hexapod-v0"))
+
+
+def test_a_failing_process_tells_its_last_line(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v99", str(tmp_path)))
+    with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="hexapod-v99"):
+        list(process.events())
