@@ -54,7 +54,7 @@ def normal_problem(
 def bench_rollouts(
     unit: tuple[float, ...] = BENCH_TRUTH, count: int = 8, seed: int = 0, duration: float = 3.0, timestep: float = 0.005
 ) -> tuple[Model, list[Measurement]]:
-    """Random steps of a servo bench with known parameters, simulated with other steps than inference uses, and noise."""
+    """Random steps of a servo bench with known parameters, noise, and another time step than inference uses."""
     model, rig, rng = base_model("servo_bench"), load_rig("servo_bench"), np.random.default_rng(seed)
     times = np.arange(0.0, duration, 0.4)
     scenarios = [Scenario("steps", duration, seed=i) for i in range(count)]

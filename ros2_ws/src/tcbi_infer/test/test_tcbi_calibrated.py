@@ -1,4 +1,4 @@
-"""Calibrated TCBI on a problem with an exact posterior: covers the truth, is not much wider, does not narrow by itself."""
+"""Calibrated TCBI where the exact posterior is known: covers the truth, is not much wider, does not narrow by itself."""
 
 import numpy as np
 import pytest

@@ -1,0 +1,74 @@
+"""The worker's events as messages."""
+
+import math
+from typing import Any
+
+from builtin_interfaces.msg import Time
+
+from tcbi_msgs.msg import Diagnosis, EffectParameter, Evidence, ModelError, Posterior, SignalError
+
+Content = dict[str, Any]
+
+
+def number(value: float | None) -> float:
+    """None, which stands for not a number in JSON, as NaN."""
+    return math.nan if value is None else float(value)
+
+
+def posterior_message(content: Content, stamp: Time) -> Posterior:
+    """From a `posterior` event."""
+    names = Posterior.get_fields_and_field_types().keys() - {"header"}
+    message = Posterior(**{name: content[name] for name in names})
+    message.header.stamp = stamp
+    return message
+
+
+def model_error_message(content: Content, stamp: Time) -> ModelError:
+    """From a `model_error` event."""
+    keys = ("error", "noise_floor", "ratio", "coverage90")
+    signals = [
+        SignalError(name=s["name"], unit=s["unit"], **{key: number(s[key]) for key in keys}) for s in content["signals"]
+    ]
+    message = ModelError(
+        model=content["model"],
+        rollouts=content["rollouts"],
+        floor_from_replicates=bool(content["floor_from_replicates"]),
+        signals=signals,
+        error_over_floor=number(content["error_over_floor"]),
+    )
+    message.header.stamp = stamp
+    return message
+
+
+def diagnosis_message(content: Content, stamp: Time) -> Diagnosis:
+    """From a `diagnosis` event; effects are named with their place, as `add_effect` takes them."""
+    message = Diagnosis(
+        model=content["model"],
+        rollouts=content["rollouts"],
+        verdict=content["verdict"],
+        effects=content.get("uses") or content["effects"],
+        ranking=[_evidence(e) for e in content["ranking"]],
+        statement=content["statement"],
+    )
+    message.header.stamp = stamp
+    return message
+
+
+def _evidence(content: Content) -> Evidence:
+    keys = ("elpd_gain", "elpd_se", "error_before", "error_after")
+    return Evidence(
+        effect=content.get("use") or content["effect"],
+        parameters=[
+            EffectParameter(
+                name=p["name"],
+                unit=p["unit"],
+                value=number(p["value"]),
+                low90=number(p["low90"]),
+                high90=number(p["high90"]),
+                null_value=number(p["null"]),
+            )
+            for p in content["parameters"]
+        ],
+        confused_with=list(content["confused_with"]),
+        **{key: number(content[key]) for key in keys},
+    )

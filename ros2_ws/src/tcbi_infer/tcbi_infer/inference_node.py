@@ -1,0 +1,312 @@
+"""Learns from rollouts as they are finished: posterior, model error, diagnosis, and when to train anew.
+
+It watches the recorder's folder. Once enough new rollouts lie there it infers in a worker process, publishes the
+posterior and the error on rollouts that no fit sees, and asks for a new policy if the posterior moved or the error fell
+enough since the last training.
+"""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from tcbi_contract import messages, names
+from tcbi_contract.errors import TcbiError
+from tcbi_contract.parameters import declare, parameter
+from tcbi_contract.running import run
+from tcbi_infer.inference_messages import diagnosis_message, model_error_message, number, posterior_message
+from tcbi_infer.inference_worker import DIAGNOSE, INFER, Job
+from tcbi_infer.rollout_folder import RolloutFolder
+from tcbi_infer.worker_process import Worker
+from tcbi_msgs.action import Diagnose, Retrain
+from tcbi_msgs.msg import Diagnosis, ModelError, Posterior, RolloutEvent
+from tcbi_msgs.srv import AddEffect, LoadModel
+from tcbi_sim.store import LATEST, ModelStore
+
+DIAGNOSIS_POLL_S = 0.1
+INFERENCE_LOAD_MODEL = f"inference/{names.LOAD_MODEL}"  # the simulator serves load_model for what it simulates
+
+
+@dataclass(frozen=True)
+class InferenceParameters:
+    """Parameters of the inference node."""
+
+    store: str = parameter("", "folder of the store; empty for ~/.local/share/tcbi")
+    bags: str = parameter("", "folder of bags to watch; empty for `rollouts` in the store")
+    model: str = parameter(LATEST, "model version whose parameters are inferred, or latest")
+    method: str = parameter("calibrated", "of inference", choices=("calibrated", "paper"))
+    particles: int = parameter(50, "simulated in each generation", low=10, high=100000)
+    generations: int = parameter(6, "at most", low=1, high=1000)
+    least_rollouts: int = parameter(8, "to fit, before the first inference", low=2, high=100000)
+    new_rollouts: int = parameter(4, "finished since the last inference, before the next", low=1, high=100000)
+    holdout_every: int = parameter(5, "one rollout in so many is judged on and never fitted; 0 for none", low=0)
+    posterior_moved: float = parameter(
+        1.0,
+        "shift of a parameter's mean since the last training that asks for one, in its standard deviations then",
+        low=0.0,
+    )
+    error_fell: float = parameter(
+        0.1,
+        "fall of the error on held-out rollouts since the last training that asks for one, as a share of it",
+        low=0.0,
+        high=1.0,
+    )
+    retrain: bool = parameter(True, "whether to ask for trainings")
+    retrain_budget_s: float = parameter(300.0, "of such a training, s; 0 for no limit", low=0.0)
+    threads: int = parameter(0, "processors for the simulations; 0 for all", low=0, high=256)
+    seed: int = parameter(0, "of all randomness", low=0)
+    poll_s: float = parameter(1.0, "how often to look for finished bags and for the worker's news", low=0.05, high=60.0)
+
+
+class InferenceNode(Node):
+    """One worker at a time; no callback waits for it but the diagnose action's, which has a thread of its own."""
+
+    def __init__(self) -> None:
+        super().__init__("inference_node")
+        self.values = declare(self, InferenceParameters)
+        self._store = ModelStore(self.values.store or None)
+        self._model = self.values.model
+        self._store.load(self._model)
+        bags = Path(self.values.bags).expanduser() if self.values.bags else self._store.root / "rollouts"
+        self._folder = RolloutFolder(bags, self.values.holdout_every)
+        self._worker: Worker | None = None
+        self._inferred = 0  # rollouts fitted in the last inference
+        self._wanted = False  # an inference is due whatever the number of rollouts
+        self._trained_on = self._store.load(self._model).version
+        self._news: dict[str, Any] = {}
+        self._state, self._fault = "waiting for rollouts", ""
+        self._training = self._diagnosing = False
+        self._open()
+
+    def _open(self) -> None:
+        own, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        self._posterior = self.create_publisher(Posterior, names.POSTERIOR, messages.LATCHED_QOS)
+        self._error = self.create_publisher(ModelError, names.MODEL_ERROR, messages.LATCHED_QOS)
+        self._diagnosis = self.create_publisher(Diagnosis, names.DIAGNOSIS, messages.LATCHED_QOS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
+        self.create_subscription(
+            RolloutEvent, names.ROLLOUT_EVENT, self._on_event, messages.LATCHED_QOS, callback_group=rest
+        )
+        self.create_service(LoadModel, INFERENCE_LOAD_MODEL, self._on_load, callback_group=rest)
+        self.create_service(AddEffect, names.ADD_EFFECT, self._on_add, callback_group=rest)
+        self._retrain = ActionClient(self, Retrain, names.RETRAIN, callback_group=rest)
+        self._server = ActionServer(
+            self, Diagnose, names.DIAGNOSE, self._on_diagnose, callback_group=own,
+            goal_callback=self._on_goal, cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )  # fmt: skip
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(self.values.poll_s, self._on_poll, clock=steady, callback_group=rest)
+        self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._report, clock=steady, callback_group=rest)
+        self.get_logger().info(f"watches {self._folder.path}, model {self._model}")
+
+    # -- rollouts and inference -----------------------------------------------------------------------------------
+
+    def _on_event(self, event: RolloutEvent) -> None:
+        if event.kind == RolloutEvent.END and self._worker is None:
+            self._state = f"rollout {event.rollout_id} ended"
+
+    def _on_poll(self) -> None:
+        self._folder.look()
+        if self._worker is not None:
+            for event in self._worker.events():
+                self._on_news(event)
+        if self._worker is None and self._due():
+            self._start()
+
+    def _due(self) -> bool:
+        fitted = len(self._folder.fitted)
+        if self._diagnosing or fitted < self.values.least_rollouts:
+            return False
+        return self._wanted or fitted - self._inferred >= self.values.new_rollouts or self._inferred == 0
+
+    def _start(self) -> None:
+        self._inferred, self._wanted = len(self._folder.fitted), False
+        v = self.values
+        job = Job(
+            INFER, str(self._store.root), self._model, _texts(self._folder.fitted), _texts(self._folder.held_out),
+            self._trained_on, v.method, v.particles, v.generations, v.seed, v.threads,
+        )  # fmt: skip
+        self._worker, self._fault, self._news = Worker(job), "", {}
+        self._state = f"inferring from {self._inferred} rollouts"
+        self.get_logger().info(self._state)
+
+    def _on_news(self, event: dict[str, Any]) -> None:
+        kind, stamp = event.pop("event"), self.get_clock().now().to_msg()
+        if kind == "progress":
+            self._state = f"inferring, {event['stage']}, {number(event['remaining_s']):.0f} s left"
+        elif kind == "posterior":
+            self._news["posterior"] = event
+            self._posterior.publish(posterior_message(event, stamp))
+            self.get_logger().info(f"posterior of {event['model']}: " + "; ".join(_described(event)))
+            for line in event["warnings"]:
+                self.get_logger().warning(line)
+        elif kind == "model_error":
+            self._news[event["role"]] = number(event["error_over_floor"])
+            self._error.publish(model_error_message(event, stamp))
+        else:
+            self._end(kind, event)
+
+    def _end(self, kind: str, event: dict[str, Any]) -> None:
+        assert self._worker is not None
+        self._worker.stop()
+        self._worker = None
+        if kind == "failed":
+            self._state, self._fault = "inference failed", event["message"]
+            self.get_logger().error(self._fault)
+            return
+        self._state = f"waiting for {self.values.new_rollouts} more rollouts"
+        if self._model != LATEST:
+            self._model = self._news["posterior"]["model"]
+        self._consider_training()
+
+    # -- training -------------------------------------------------------------------------------------------------
+
+    def _consider_training(self) -> None:
+        found = self._news["posterior"]
+        fall = 1 - self._news.get("after", math.nan) / self._news.get("before", math.nan)
+        why = []
+        if found["moved"] >= self.values.posterior_moved:
+            why.append(f"the posterior moved by {found['moved']:.2g} standard deviations")
+        if fall >= self.values.error_fell:
+            why.append(f"the error on held-out rollouts fell by {fall:.0%}")
+        if not why or not self.values.retrain or self._training:
+            return
+        if "+" in found["task"] or not self._retrain.server_is_ready():
+            reason = "rollouts of several tasks" if "+" in found["task"] else "no retrain server runs"
+            self.get_logger().warning(f"{' and '.join(why)}, but no training is asked for: {reason}")
+            return
+        self.get_logger().info(f"asks for a training on {found['model']}: {' and '.join(why)}")
+        goal = Retrain.Goal(task=found["task"], model=found["model"], budget_s=self.values.retrain_budget_s)
+        goal.seed = self.values.seed
+        self._training = True
+        self._retrain.send_goal_async(goal).add_done_callback(lambda f: self._on_accepted(f, found["model"]))
+
+    def _on_accepted(self, future: Any, model: str) -> None:
+        handle = future.result()
+        if not handle.accepted:
+            self._training = False
+            self.get_logger().warning("the retrain server is busy; asked again after the next inference")
+            return
+        handle.get_result_async().add_done_callback(lambda f: self._on_trained(f, model))
+
+    def _on_trained(self, future: Any, model: str) -> None:
+        self._training = False
+        result = future.result().result
+        if result.success:
+            self._trained_on = model
+        self.get_logger().info(f"training on {model}: {result.message}")
+
+    # -- services -------------------------------------------------------------------------------------------------
+
+    def _on_load(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
+        try:
+            response.model = self._store.load(request.model or LATEST).version
+            self._model, self._wanted, response.success = request.model or LATEST, True, True
+        except TcbiError as e:
+            response.message, response.model = str(e), self._model
+        return response
+
+    def _on_add(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
+        try:
+            parent = self._store.load(request.model or self._model)
+            response.model = self._store.save(parent.with_effect(request.effect)).version
+            self._model = response.model if self._model != LATEST else LATEST
+            self._wanted, response.success = True, True
+            response.message = f"{response.model} is {parent.version} with {request.effect}"
+        except TcbiError as e:
+            response.message = str(e)
+        return response
+
+    # -- diagnosis ------------------------------------------------------------------------------------------------
+
+    def _on_goal(self, goal: Diagnose.Goal) -> GoalResponse:
+        if self._diagnosing or self._worker is not None:
+            self.get_logger().warning("diagnose refused: the worker is busy; try again when it is done")
+            return GoalResponse.REJECT
+        self._diagnosing = True
+        return GoalResponse.ACCEPT
+
+    def _on_diagnose(self, handle: ServerGoalHandle) -> Diagnose.Result:
+        goal = handle.request
+        bags = tuple(goal.bags) or _texts(self._folder.fitted)
+        worker = Worker(
+            Job(DIAGNOSE, str(self._store.root), goal.model or self._model, bags, threads=self.values.threads)
+        )
+        result, finished = Diagnose.Result(message="cancelled"), False
+        try:
+            while not (finished or handle.is_cancel_requested):
+                finished = any([self._on_diagnosis(handle, event, result) for event in worker.events()])
+                time.sleep(DIAGNOSIS_POLL_S)
+        finally:
+            worker.stop()
+            self._diagnosing = False
+        if result.success:
+            handle.succeed()
+        elif handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            handle.abort()
+        return result
+
+    def _on_diagnosis(self, handle: ServerGoalHandle, event: dict[str, Any], result: Diagnose.Result) -> bool:
+        """Pass one event of the worker on; whether it was the last."""
+        kind = event.pop("event")
+        if kind == "progress":
+            remaining = number(event["remaining_s"])
+            handle.publish_feedback(
+                Diagnose.Feedback(stage=event["stage"], fraction=float(event["share"]), remaining_s=remaining)
+            )
+        elif kind == "diagnosis":
+            result.diagnosis = diagnosis_message(event, self.get_clock().now().to_msg())
+            result.message = result.diagnosis.statement
+            self._diagnosis.publish(result.diagnosis)
+        else:
+            result.success = kind == "done"
+            result.message = event.get("message", result.message)
+        return kind in ("done", "failed")
+
+    # -- health ---------------------------------------------------------------------------------------------------
+
+    def _report(self) -> None:
+        status = DiagnosticStatus(level=DiagnosticStatus.OK, name="inference_node", message=self._state)
+        if self._fault:
+            status.level, status.message = DiagnosticStatus.WARN, self._fault
+        facts = {
+            "model": self._model,
+            "rollouts to fit": len(self._folder.fitted),
+            "rollouts held out": len(self._folder.held_out),
+            "training": self._training,
+        }
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in facts.items()]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def destroy_node(self) -> None:
+        """End the worker, then the node."""
+        if self._worker is not None:
+            self._worker.stop()
+        super().destroy_node()
+
+
+def _texts(paths: Sequence[Path]) -> tuple[str, ...]:
+    return tuple(map(str, paths))
+
+
+def _described(event: dict[str, Any]) -> list[str]:
+    rows = zip(event["parameter"], event["mean"], event["variance"], event["unit"], event["identified"], strict=True)
+    return [f"{n} {m:.3g} ± {math.sqrt(v):.2g} {u}{'' if known else ' (unknown still)'}" for n, m, v, u, known in rows]
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run("inference_node", InferenceNode, args, threads=3)

@@ -1,0 +1,188 @@
+"""The inference node's other half: one job a process, so that simulations never hold up a callback.
+
+A job is one JSON object on standard input; events are JSON objects on standard output, one a line, each with `event`:
+`progress`, `posterior`, `model_error`, `diagnosis`, and at last `done` or `failed`.
+
+    python -m tcbi_infer.inference_worker < job.json
+"""
+
+import dataclasses
+import json
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tcbi_contract.errors import TcbiError
+from tcbi_infer import posterior
+from tcbi_infer.bags.reader import read_measurements
+from tcbi_infer.compare import compare
+from tcbi_infer.diagnose import diagnose
+from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.method import find_method
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.result import Result
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model
+from tcbi_sim.store import ModelStore
+
+INFER, DIAGNOSE = "infer", "diagnose"
+DRAWS = 200  # equally weighted particles that a message carries
+Emit = Callable[..., None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """What a worker is asked for."""
+
+    kind: str  # INFER or DIAGNOSE
+    store: str
+    model: str  # version, or "latest"
+    bags: tuple[str, ...]  # to fit
+    held_out: tuple[str, ...] = ()  # to judge, never to fit
+    reference: str = ""  # version that shift and error are measured from; empty for `model`
+    method: str = "calibrated"
+    particles: int = 50
+    generations: int = 6
+    seed: int = 0
+    threads: int = 0
+
+    def to_json(self) -> str:
+        """One line."""
+        return json.dumps(dataclasses.asdict(self))
+
+    @staticmethod
+    def from_json(text: str) -> "Job":
+        """The job of a line."""
+        data = json.loads(text)
+        return Job(**{**data, "bags": tuple(data["bags"]), "held_out": tuple(data["held_out"])})
+
+
+def run_inference(job: Job, emit: Emit) -> None:
+    """Infer, save a model version, and judge it and its parent on the rollouts that were held out."""
+    store = ModelStore(job.store)
+    measurements = read_measurements(job.bags)
+    model = store.load(job.model, measurements[0].rig)
+    method = find_method(job.method)
+    problem = Problem.of(
+        model, measurements, statistics=method.statistics, policies=store.root, threads=job.threads, seed=job.seed
+    )
+
+    def watch(progress: Any) -> None:
+        done = (progress.generation - 1 + progress.share) / progress.generations
+        emit("progress", stage=f"generation {progress.generation}", share=done, remaining_s=progress.remaining_s)
+
+    result = infer(
+        problem,
+        job.method,
+        seed=job.seed,
+        folder=store.folder("runs"),
+        watch=watch,
+        particles=job.particles,
+        generations=job.generations,
+    )
+    saved = store.save(posterior.updated(result))
+    posterior.write(store.models / saved.version / "posterior.nc", result)
+    reference = store.load(job.reference, model.rig) if job.reference else model
+    emit("posterior", **summary(result, saved, moved(reference, result)))
+    if job.held_out:
+        judged = read_measurements(job.held_out, rig=model.rig)
+        emit("model_error", role="before", **model_error(reference, judged))
+        emit("model_error", role="after", **model_error(saved, judged))
+
+
+def moved(before: Model, result: Result) -> float:
+    """Largest shift of a parameter's mean, in standard deviations of the model before, on the parameter's scale.
+
+    Infinite where a parameter is new: the policy has never met the effect that it belongs to.
+    """
+    if set(result.model.names) - set(before.names):
+        return float("inf")
+    unit = before.to_unit(before.particles)
+    mean = before.weights @ unit
+    sd = np.sqrt(before.weights @ (unit - mean) ** 2)
+    now = dict(zip(result.model.names, np.exp(result.log_weights) @ result.unit, strict=True))
+    shift = np.abs(np.array([now.get(name, mean[i]) for i, name in enumerate(before.names)]) - mean)
+    return float(np.max(shift / np.maximum(sd, 1e-6)))
+
+
+def summary(result: Result, saved: Model, shift: float) -> dict[str, Any]:
+    """What `tcbi_msgs/Posterior` holds, and how far the mean moved."""
+    prior = [e.prior_sd**2 for e in result.estimates]
+    return {
+        "rig": saved.rig,
+        "model": saved.version,
+        "task": result.task,
+        "method": result.method,
+        "generation": len(result.generations),
+        "parameter": list(saved.names),
+        "unit": [p.unit for p in saved.parameters],
+        "mean": [e.mean for e in result.estimates],
+        "variance": [e.sd**2 for e in result.estimates],
+        "prior_variance": prior,
+        "identified": [e.identified for e in result.estimates],
+        "particles": result.draws(DRAWS).ravel().tolist(),
+        "weights": [1.0 / DRAWS] * DRAWS,
+        "effective_sample_size": result.ess,
+        "statistic": list(result.statistics),
+        "divergence": [result.divergence[s] for s in result.statistics],
+        "source_rollouts": list(result.rollouts),
+        "converged": result.converged,
+        "moved": min(shift, 1e9),
+        "warnings": list(result.warnings),
+    }
+
+
+def model_error(model: Model, measurements: list[Measurement]) -> dict[str, Any]:
+    """What `tcbi_msgs/ModelError` holds."""
+    return compare(model, measurements, particles=0).to_json()
+
+
+def run_diagnosis(job: Job, emit: Emit) -> None:
+    """Diagnose, with the stages as progress."""
+    store = ModelStore(job.store)
+    measurements = read_measurements(job.bags)
+    model = store.load(job.model, measurements[0].rig)
+
+    def watch(stage: str, share: float) -> None:
+        emit("progress", stage=stage, share=share, remaining_s=None)
+
+    emit("diagnosis", **diagnose(model, measurements, progress=watch).to_json())
+
+
+def finite(value: Any) -> Any:
+    """NaN and infinity as None, which JSON knows."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def main() -> int:
+    """Run the job on standard input; 0 done, 1 failed."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    out, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints must not mix with the events
+
+    def emit(event: str, **content: Any) -> None:
+        out.write(json.dumps({"event": event, **finite(content)}) + "\n")
+        out.flush()
+
+    try:
+        job = Job.from_json(sys.stdin.readline())
+        {INFER: run_inference, DIAGNOSE: run_diagnosis}[job.kind](job, emit)
+        emit("done")
+        return 0
+    except TcbiError as e:
+        emit("failed", message=" ".join(str(e).split()))
+        return 1
+    except KeyboardInterrupt:
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
