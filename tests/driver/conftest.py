@@ -17,10 +17,17 @@ DEADLINE_S = 20.0
 
 
 class KinematicBody:
-    """Joints that follow their ramps exactly, and stay where they are without torque."""
+    """Joints that follow their ramps exactly, and stay where they are without torque.
+
+    Attributes:
+      torque: (18,) bool.
+      armings: how often all torque has come on; a busy test may miss the moment itself.
+      stuck: joints that do not move.
+    """
 
     def __init__(self, position: float = 0.0) -> None:
         self.torque = np.zeros(18, bool)
+        self.armings = 0
         self.stuck: set[int] = set()
         self._from = np.full(18, position)
         self._goal = np.full(18, position)
@@ -44,7 +51,9 @@ class KinematicBody:
     def set_torque(self, servo_index: int, on: bool) -> None:
         here = self.position[servo_index]
         self._set(servo_index, here, here, 0.0)
+        was_armed = self.torque.all()
         self.torque[servo_index] = on
+        self.armings += bool(self.torque.all() and not was_armed)
 
     def read(self) -> BodyState:
         return BodyState(

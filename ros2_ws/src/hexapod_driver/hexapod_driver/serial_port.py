@@ -5,12 +5,13 @@ import grp
 import os
 import select
 import termios
+import time
 
 import serial
 
 from hexapod_driver.errors import LinkLost, PortError
 
-WRITE_TIMEOUT_S = 0.1
+WRITE_TIMEOUT_S = 0.2
 
 
 def _remedy(code: int | None, path: str) -> str:
@@ -49,7 +50,7 @@ class SerialPort:
         """
         self.path = path
         try:
-            self._serial = serial.Serial(path, baud_rate, timeout=0, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
+            self._serial = serial.Serial(path, baud_rate, timeout=0, exclusive=True)
             self._serial.reset_output_buffer()
         except (serial.SerialException, OSError, termios.error) as error:
             code = _errno(error)
@@ -86,12 +87,23 @@ class SerialPort:
         Raises:
           LinkLost: the port is gone or takes no more bytes.
         """
+        deadline = time.monotonic() + WRITE_TIMEOUT_S
         try:
-            self._serial.write(data)
-        except serial.SerialTimeoutException as error:
-            raise LinkLost(f"port {self.path} takes no more bytes; the other side has stopped reading") from error
-        except (serial.SerialException, OSError, termios.error) as error:
+            while True:
+                data = data[self._write_some(data) :]
+                if not data:
+                    return
+                if time.monotonic() > deadline:
+                    raise LinkLost(f"port {self.path} takes no more bytes; the other side has stopped reading")
+                select.select([], [self._serial.fileno()], [], WRITE_TIMEOUT_S)
+        except (serial.SerialException, OSError, ValueError) as error:
             raise LinkLost(f"port {self.path} went away ({error})") from error
+
+    def _write_some(self, data: bytes) -> int:
+        try:
+            return os.write(self._serial.fileno(), data)
+        except BlockingIOError:
+            return 0
 
     def close(self) -> None:
         """Close the port; safe to call twice and on a port that is gone."""

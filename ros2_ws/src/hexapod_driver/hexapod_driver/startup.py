@@ -10,7 +10,6 @@ from hexapod_driver.wire import Wire
 
 ATTEMPTS = 3
 REPLY_S = 0.4
-PINGS_S = 1.5
 
 
 def check(wire: Wire, calibration: Calibration) -> Identity:
@@ -33,10 +32,13 @@ def check(wire: Wire, calibration: Calibration) -> Identity:
 
 
 def _missing(wire: Wire, calibration: Calibration) -> list[str]:
+    """Joints whose servo does not answer: pinged in rounds, with growing patience for those that are still missing."""
     missing = list(calibration.joints)
-    for _ in range(ATTEMPTS):
-        pings = {wire.submit(_ping(calibration, name), 1, wire.ping_timeout_s): name for name in missing}
-        replies = wire.gather(pings, PINGS_S)
+    for attempt, timeout_s in enumerate(wire.ping_timeouts_s):
+        if attempt == 2 and len(missing) == len(calibration.joints):
+            break  # a dead bus needs no third round
+        pings = {wire.submit(_ping(calibration, name), 1, timeout_s): name for name in missing}
+        replies = wire.gather(pings, timeout_s * len(missing) + REPLY_S)
         for tag, name in pings.items():
             if any(p.id == calibration.joints[name].servo for p in replies.get(tag, ())):
                 missing.remove(name)

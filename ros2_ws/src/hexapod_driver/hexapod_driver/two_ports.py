@@ -18,7 +18,7 @@ class TwoPorts(Wire):
     """
 
     reply_timeout_s = 0.025
-    ping_timeout_s = 0.05
+    ping_timeouts_s = (0.05, 0.2, 0.4)  # one servo after the other
     most_in_flight = 3
 
     def __init__(

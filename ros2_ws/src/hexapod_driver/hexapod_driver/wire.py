@@ -89,7 +89,7 @@ class Wire(ABC):
     """
 
     reply_timeout_s = 0.3
-    ping_timeout_s = 1.0
+    ping_timeouts_s = (0.5, 1.0, 1.0)  # of each round of pings; a busy machine may be slow to answer
     most_in_flight = 18  # questions that may wait for their answers at once
 
     def __init__(self, clock: Callable[[], int], wake: int | None) -> None:
