@@ -72,6 +72,8 @@ class Collection:
         self.wait(self.client.server_is_ready, "the recorder")
         running, whole, bags = [], [], []
         for _ in range(number):
+            apart = time.monotonic() + 1.1  # bags are named by the second
+            self.wait(lambda apart=apart: time.monotonic() > apart, "a second")
             self.seen.clear()
             self.clock.clear()
             goal = CollectRollouts.Goal(task="balance", policy="gait:dither", number=1, seed=3, duration_s=duration_s)

@@ -169,6 +169,9 @@ class PolicyNode(Node):
         self._first_tick.reset()
 
     def _after_enabling(self) -> None:
+        if not self._commands.get_subscription_count():  # not discovered yet: a command now would be lost
+            self._quiet_until = time.monotonic() + SETTLE_S
+            return
         self._first_tick.cancel()
         self._quiet_until = 0.0
         self._act()
