@@ -12,6 +12,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu, JointState
@@ -36,6 +37,7 @@ from tcbi_sim.store import ModelStore
 
 PERIOD = round(SECOND / names.SENSOR_RATE_HZ)
 REPEAT_CLOCK_S = 0.5
+LISTENERS_S = 1.0  # wall time that lockstep waits for a listener that does not take in samples
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class SimNode(Node):
         self._in_episode = False
         self._last_stamp_s = 0.0
         self._published = 0
+        self._unheard = 0  # samples published in lockstep since every listener was known to have them
         self._offer()
         if v.mode == "lockstep":
             self._start_lockstep()
@@ -149,12 +152,24 @@ class SimNode(Node):
     def _run_window(self) -> None:
         assert self.clock is not None
         start = self.clock.now
+        self._wait_for_listeners()
         for k, reading in enumerate(self.live.advance(WINDOW // PERIOD), start=1):
             self._publish(start + k * PERIOD, reading)
+        self._unheard += WINDOW // PERIOD
         self.clock.advance(time.monotonic())
         if self.clock.now % SECOND == 0:
             self._diagnose()
         self._publish_clock()
+
+    def _wait_for_listeners(self) -> None:
+        """Let a slow listener catch up before the publishers' queues run over: a clock that waits loses nothing."""
+        if self._unheard + WINDOW // PERIOD <= messages.STREAM_QOS.depth:
+            return
+        patience = Duration(seconds=LISTENERS_S)
+        streams = (self._joints, self._imu, self._contacts, self._tracker)
+        if not all([p.wait_for_all_acked(patience) for p in streams if p is not None]):
+            self._diagnose(f"a listener took in nothing for {LISTENERS_S:g} s: it may have lost samples")
+        self._unheard = 0
 
     def _watch(self) -> None:
         assert self.clock is not None
