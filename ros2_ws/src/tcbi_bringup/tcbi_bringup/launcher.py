@@ -38,7 +38,7 @@ POLL_S = 0.05
 LOG_MARK = "--- started "  # begins the line that each start writes to the log
 INTERRUPT_S, TERMINATE_S = 8.0, 3.0  # time given after SIGINT, after SIGTERM
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
-HEALTHY_AFTER_S = 10.0  # a process that ran this long starts its count of failures anew
+HEALTHY_AFTER_S = 60.0  # a process that ran this long starts its count of failures anew; loaded machines start slowly
 TRIES = 5  # failures in a row before a process is given up
 CONFIGURATION_TRIES = 2  # the same for exit status 1: bad configuration, or a device that is not there
 
