@@ -129,22 +129,21 @@ def test_same_robot_same_trial_same_bits() -> None:
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes(), name
 
 
-def test_trials_of_one_run_differ_by_sensor_noise_alone() -> None:
-    bodies = [physics(trial=trial) for trial in (0, 1)]
-    script = dither(1.0)
-    for time, target in zip(script.time, script.target, strict=True):
-        for body in bodies:
-            body.advance_to(1.0 + time)
-            body.send(target, 0.2)
-    for body in bodies:
-        body.advance_to(2.2)
-    first, second = bodies
-    assert first.data.qpos.tobytes() == second.data.qpos.tobytes()
-    a, b = first.read(), second.read()
+def test_trials_of_one_run_differ_as_much_as_careful_repeats_of_a_real_robot() -> None:
+    robot = EmulatedRobot(3, "none")
+    runs = [robot.rollout(Scene(0.1), 2.0, dither(2.0), trial=trial) for trial in range(4)]
+    joints = np.array([run.joint_position for run in runs])
+    apart = np.degrees(np.std(joints, axis=0, ddof=1).mean())
+    assert 0.04 < apart < 0.5, "degrees: more than the encoders' step, less than what a hidden effect does"
+    headings = [math.degrees(roll_pitch_yaw(run.attitude[0])[2]) for run in runs]
+    assert 0.1 < np.std(headings, ddof=1) < 3.0, "put down by hand"
+
+
+def test_noise_alone_makes_readings_of_the_same_pose_differ() -> None:
+    body = physics()
+    a, b = body.read(), body.read()
     assert not np.array_equal(a.joint_position, b.joint_position)
     assert np.abs(a.joint_position - b.joint_position).max() <= 5 * STEP
-    assert 0 < np.abs(a.angular_velocity - b.angular_velocity).max() < 0.05
-    assert 0 < np.abs(a.attitude - b.attitude).max() < 0.02
 
 
 def test_robots_differ_between_seeds_inside_the_plausible_middle() -> None:

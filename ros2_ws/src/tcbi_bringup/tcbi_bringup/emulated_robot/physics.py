@@ -1,7 +1,7 @@
 """One emulated robot on its ground: half-millisecond mechanics under 1 kHz servos, a hidden effect, real sensors.
 
 The motion is decided by the robot's seed, its hidden effect and the commands; the trial number draws what differs
-between two repeats of the same run: the noise of the sensors and the waits on a jittery bus.
+between two repeats of the same run: how the robot was put down, the noise of the sensors, the waits on a jittery bus.
 
     physics = Physics(Specimen.of(seed=7, hidden="backlash"), trial=0)
     physics.place(Scene(slope_roll=0.2), np.zeros(18))
@@ -10,6 +10,7 @@ between two repeats of the same run: the noise of the sensors and the waits on a
     sample = physics.read()
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ from tcbi_bringup.emulated_robot import character as characters
 from tcbi_bringup.emulated_robot import drawing as drawings
 from tcbi_bringup.emulated_robot import hidden_effects, mechanics
 from tcbi_bringup.emulated_robot.character import Character
+from tcbi_bringup.emulated_robot.circumstances import Circumstances
 from tcbi_bringup.emulated_robot.mechanics import Build, Scene
 from tcbi_bringup.emulated_robot.sensors import Encoders, FootSwitches, Imu
 from tcbi_bringup.emulated_robot.servos import LOOP_PERIOD_S, STEP, Move, Servos
@@ -85,7 +87,7 @@ class Physics:
 
     Args:
       specimen: which robot.
-      trial: 0 or more; repeats with other numbers differ in noise and jitter alone.
+      trial: 0 or more; repeats with other numbers differ in circumstances, noise and jitter alone.
     """
 
     def __init__(self, specimen: Specimen, trial: int = 0):
@@ -97,9 +99,10 @@ class Physics:
         self._effect.attach(self._build, drawing)
         self._resists = type(self._effect).resist is not hidden_effects.HiddenEffect.resist
         limit = np.full(characters.JOINT_COUNT, drawing.torque_limit)
-        self.servos = Servos(character.gain * character.gain_factor, limit, drawing.speed_limit)
-        streams = [np.random.default_rng([specimen.seed, 3, trial, part]) for part in range(4)]
-        self._bus, imu, encoders, switches = streams
+        self._gain = character.gain * character.gain_factor
+        self.servos = Servos(self._gain.copy(), limit, drawing.speed_limit)
+        streams = [np.random.default_rng([specimen.seed, 3, trial, part]) for part in range(5)]
+        self._bus, imu, encoders, switches, self._hands = streams
         self._encoders = Encoders(encoders)
         self._imu = Imu(np.random.default_rng([specimen.seed, 4]), imu, LOOP_PERIOD_S)
         self._switches = FootSwitches(drawing.foot_threshold * character.switch_factor, switches, LOOP_PERIOD_S)
@@ -107,7 +110,6 @@ class Physics:
         self._clock = 0  # ticks since the robot was switched on
         self._torque = np.zeros(characters.JOINT_COUNT)
         self._encoder = np.zeros(characters.JOINT_COUNT)
-        self._build_on(Scene())
         self.place(Scene(), np.zeros(characters.JOINT_COUNT))
 
     @property
@@ -122,7 +124,7 @@ class Physics:
         return self._angles if gear is None else gear.position
 
     def place(self, scene: Scene, joint_position: np.ndarray | None = None) -> None:
-        """Set up the ground and put the robot down on it at rest, with its middle over the origin.
+        """Set up the ground and put the robot down on it at rest, with its middle over the origin, as well as one can.
 
         Args:
           scene: ground and heading.
@@ -132,9 +134,9 @@ class Physics:
             angles, shaft = self._angles.copy(), self.shaft.copy()
         else:
             angles = shaft = np.array(joint_position, float)
-        self._build_on(scene)
+        self._build_on(scene, Circumstances.draw(self._hands))
         self._angles[:] = angles
-        self._stand_on_the_ground(scene.yaw)
+        self._stand_on_the_ground(self.scene.yaw)
         self._effect.reset(angles)
         if self._effect.gear is not None:
             self._effect.gear.reset(shaft)
@@ -190,10 +192,18 @@ class Physics:
         mujoco.mju_mulQuat(attitude, ground_attitude(self.scene), self.data.qpos[3:7])
         return attitude
 
-    def _build_on(self, scene: Scene) -> None:
+    def _build_on(self, scene: Scene, now: Circumstances) -> None:
         """Compile robot and ground, and take views of the state that the loop works on."""
-        self.scene = scene
-        self.model = mechanics.compile_model(self._drawing, self.specimen.character, self._build, scene)
+        self.scene = dataclasses.replace(
+            scene,
+            slope_roll=scene.slope_roll + now.slope_roll,
+            slope_pitch=scene.slope_pitch + now.slope_pitch,
+            yaw=scene.yaw + now.yaw,
+        )
+        character = self.specimen.character
+        character = dataclasses.replace(character, friction=character.friction * now.friction_factor)
+        self.servos.gain[:] = self._gain * now.supply_factor
+        self.model = mechanics.compile_model(self._drawing, character, self._build, self.scene)
         self.data = mujoco.MjData(self.model)
         self._angles, self._speeds = self.data.qpos[7:], self.data.qvel[6:]
         self._force = self.data.qfrc_applied[6:]
