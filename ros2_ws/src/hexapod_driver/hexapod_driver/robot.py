@@ -76,11 +76,11 @@ class Robot:
                 purpose(event)
 
     def act(self) -> None:
-        """Do what is due: look at the watchdogs, ask the robot, go on with a posture."""
+        """Do what is due: go on with a posture, look at the watchdogs, ask the robot."""
         now = time.monotonic()
+        self._continue_posture(now)
         self._watch(now)
         self._request(now)
-        self._continue_posture(now)
 
     def command(self, target: Sequence[float], duration_s: float) -> None:
         """Move towards `target` (18,) rad.
