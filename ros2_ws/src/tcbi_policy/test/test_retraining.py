@@ -13,6 +13,7 @@ from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import PolicyNotFound, TrainingError
 from tcbi_policy.retraining import Job, next_name, plan, reference_of, retrain
 
+SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
 TINY = TrainingConfig("balance", steps=320, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
 
 
@@ -51,6 +52,7 @@ def test_the_same_job_has_the_same_folder_and_another_one_another(tmp_path: Path
     assert keys[0] == keys[1] != keys[2]
 
 
+@SUBPROCESS
 def test_a_job_ends_with_a_verdict_and_only_a_better_policy_is_kept(tmp_path: Path) -> None:
     events: list[dict[str, Any]] = []
     outcome = retrain(job(tmp_path), events.append)
@@ -61,6 +63,7 @@ def test_a_job_ends_with_a_verdict_and_only_a_better_policy_is_kept(tmp_path: Pa
     assert Path(outcome.path).exists()
 
 
+@SUBPROCESS
 def test_a_hopeless_rival_is_replaced_by_a_policy_with_a_name_of_its_own(tmp_path: Path) -> None:
     outcome = retrain(job(tmp_path, current="gait:dither", start="balance", budget_steps=1), lambda event: None)
     assert outcome.accepted and outcome.reference == "balance-1"
@@ -70,6 +73,7 @@ def test_a_hopeless_rival_is_replaced_by_a_policy_with_a_name_of_its_own(tmp_pat
     assert reference_of(policy.policy_id, tmp_path) == "balance-1"
 
 
+@SUBPROCESS
 def test_a_cancelled_job_ends_within_a_second_and_goes_on_later(tmp_path: Path) -> None:
     events: list[dict[str, Any]] = []
     cancelled_at: list[float] = []

@@ -21,6 +21,7 @@ from tcbi_policy.training import Training
 from tcbi_sim.model import base_model
 
 MODEL = base_model("hexapod")
+SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
 TINY = TrainingConfig("balance", steps=480, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
 
 
@@ -153,6 +154,7 @@ def test_presets_exist_for_both_tasks_and_the_papers_settings_are_the_papers() -
         preset("quick", "balance")
 
 
+@SUBPROCESS
 def test_a_process_that_is_killed_says_so_and_the_next_one_resumes(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0", str(tmp_path)))
     with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="signal 9"):
@@ -171,6 +173,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
         write_run(tmp_path, Run(dataclasses.replace(TINY, seed=1), "hexapod-v0"))
 
 
+@SUBPROCESS
 def test_a_failing_process_tells_its_last_line(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v99", str(tmp_path)))
     with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="hexapod-v99"):
