@@ -1,0 +1,107 @@
+"""The inference node in a graph: from finished bags to posterior, error, training, new effects and a diagnosis."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.action import ActionServer
+
+from tcbi_bringup.launcher import NodeProcess
+from tcbi_contract import messages, names
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_msgs.action import Retrain
+from tcbi_msgs.msg import ModelError, Posterior
+from tcbi_msgs.srv import AddEffect, LoadModel
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Scenario
+from tcbi_sim.model import base_model
+from tcbi_sim.store import ModelStore
+
+pytestmark = pytest.mark.graph
+
+RIG = "servo_bench"
+WORK_S = 90.0  # for a worker process on a busy machine
+
+
+def write_rollouts(folder: Path, first: int, count: int) -> list[str]:
+    """Bags of a servo bench whose gain is half the nominal one."""
+    model, times = base_model(RIG), np.arange(0.0, 2.0, 0.4)
+    truth = np.array([[p.nominal for p in model.parameters]]) * [0.5, 1.0, 1.0]
+    ids = []
+    for i in range(first, first + count):
+        rng = np.random.default_rng(i)
+        commands = Commands(times, rng.uniform(-1, 1, (len(times), 1)))
+        rollouts = simulate(model, truth, [Scenario("steps", 2.0, seed=i)], commands=[commands], timestep=0.005)
+        measured = rollouts.measurement(0, 0, f"steps_{i}", "steps")
+        write_measurement(folder, measured)
+        ids.append(measured.rollout_id)
+    return ids
+
+
+@pytest.fixture
+def node(tmp_path: Path) -> NodeProcess:
+    values = {
+        "store": str(tmp_path / "store"),
+        "bags": str(tmp_path / "bags"),
+        "model": f"{RIG}-v0",
+        "particles": 20,
+        "generations": 2,
+        "least_rollouts": 4,
+        "new_rollouts": 2,
+        "holdout_every": 3,
+        "posterior_moved": 0.2,
+        "poll_s": 0.2,
+    }
+    return NodeProcess("tcbi_infer", "inference_node", parameters=values)
+
+
+def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_graph, peer, node, tmp_path):
+    goals = []
+
+    def train(handle):
+        goals.append(handle.request)
+        handle.succeed()
+        return Retrain.Result(success=True, message="trained")
+
+    server = ActionServer(peer.node, Retrain, names.RETRAIN, train)
+    write_rollouts(tmp_path / "bags", 0, 6)
+    start_graph(node)
+    posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    errors = peer.collect(names.MODEL_ERROR, ModelError, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(posteriors and errors and goals), "posterior, error and training", WORK_S)
+
+    first = posteriors[0]
+    assert (first.rig, first.model, first.task) == (RIG, f"{RIG}-v1", "steps")
+    assert list(first.parameter) == ["gain", "damping", "friction"]
+    assert len(first.particles) == 3 * len(first.weights)
+    assert sum(first.weights) == pytest.approx(1.0)
+    assert len(first.source_rollouts) == 4
+    assert not set(first.source_rollouts) & set(errors[-1].rollouts), "a rollout was fitted and judged"
+    assert len(errors[-1].rollouts) == 2 and errors[-1].error_over_floor > 0
+    assert (goals[0].task, goals[0].model) == ("steps", f"{RIG}-v1")
+    assert f"{RIG}-v1" in ModelStore(tmp_path / "store").versions(RIG)
+
+    write_rollouts(tmp_path / "bags", 6, 3)
+    peer.wait_until(lambda: posteriors[-1].model == f"{RIG}-v2", "the second posterior", WORK_S)
+    assert len(posteriors[-1].source_rollouts) == 6
+    server.destroy()
+
+
+def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node, tmp_path):
+    start_graph(node)
+    added = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latency"), AddEffect)
+    assert added.success and added.model == f"{RIG}-v1", added.message
+    assert ModelStore(tmp_path / "store").load(added.model).effects == ("command_latency",)
+    refused = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latncy"), AddEffect)
+    assert not refused.success and "did you mean 'command_latency'" in refused.message
+    loaded = peer.call("inference/load_model", LoadModel.Request(model=f"{RIG}-v0"), LoadModel)
+    assert loaded.success and loaded.model == f"{RIG}-v0"
+    missing = peer.call("inference/load_model", LoadModel.Request(model=f"{RIG}-v9"), LoadModel)
+    assert not missing.success and "unknown model version" in missing.message
+
+
+def test_a_model_that_does_not_exist_ends_the_node_with_one_line(start_graph, node):
+    wrong = NodeProcess("tcbi_infer", "inference_node", parameters={**node.parameters, "model": "hexapod-v99"})
+    graph = start_graph(wrong, wait=False)
+    assert graph.wait_for_exit("inference_node", 30.0) == 1
+    assert "unknown model version 'hexapod-v99'" in graph.tail("inference_node", 5)
