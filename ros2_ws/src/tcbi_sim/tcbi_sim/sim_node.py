@@ -33,6 +33,7 @@ from tcbi_sim.measurement import Scenario
 from tcbi_sim.messages import read_command, sim_diagnostics
 from tcbi_sim.model import Model
 from tcbi_sim.pacing import Pacer
+from tcbi_sim.prompt_acks import ask_for_prompt_acks
 from tcbi_sim.store import ModelStore
 
 PERIOD = round(SECOND / names.SENSOR_RATE_HZ)
@@ -263,4 +264,5 @@ def _nanoseconds(stamp: Time) -> int:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point."""
+    ask_for_prompt_acks()
     return run("sim_node", SimNode, args)
