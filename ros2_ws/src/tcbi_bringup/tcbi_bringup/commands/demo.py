@@ -10,7 +10,7 @@ from tcbi_bringup.commands import console
 if TYPE_CHECKING:
     from tcbi_bringup.demo.story import Outcome
 
-SUMMARY = "Tell the whole story on an emulated robot: record, compare, locate, diagnose, add, infer, retrain, and measure again."
+SUMMARY = "The whole story on an emulated robot: record, compare, diagnose, add, infer, retrain, measure again."
 EFFECTS = ("coulomb_friction", "viscous_damping", "command_latency", "backlash", "weak_leg", "payload")
 NONE = "none"
 

@@ -10,10 +10,11 @@ from tcbi_policy.reward import episode_reward
 from tcbi_sim.model import Model
 
 LEAD = (
-    "A walking robot and its simulation never quite agree. Here a robot whose physics differ from the model's, by its plain "
-    "parameters and perhaps by one effect that the model does not have, was driven over its serial port and recorded; the "
-    "model was compared with the recordings, its missing effect looked for and added, its parameters inferred, and a policy "
-    "retrained on it. The robot is an emulated one, so the truth is known; it was looked at only at the end."
+    "A walking robot and its simulation never quite agree. Here a robot whose physics differ from the model's, by its "
+    "plain parameters and perhaps by one effect that the model does not have, was driven over its serial port and "
+    "recorded; the model was compared with the recordings, its missing effect looked for and added, its parameters "
+    "inferred, and a policy retrained on it. The robot is an emulated one, so the truth is known; it was looked at "
+    "only at the end."
 )
 
 
@@ -65,9 +66,10 @@ def _parameters(report: Report, outcome: Outcome, truth: dict[str, object]) -> N
         )
     head = ["parameter", "unit", "mean", "90 % interval", "do the data tell?", "truth"]
     text = [
-        "Task-consistent Bayesian inference compares distributions of what the task is about (reward, attitude, contacts, "
-        "tracking, body rates) between robot and simulation. Where the data do not tell, the interval is little narrower "
-        "than the prior. The truth of an effect's own parameters has no column: the robot implements the effect another way."
+        "Task-consistent Bayesian inference compares distributions of what the task is about (reward, attitude, "
+        "contacts, tracking, body rates) between robot and simulation. Where the data do not tell, the interval is "
+        "little narrower than the prior. An effect's own parameters have no truth to show: the robot implements the "
+        "effect another way."
     ]
     report.add(Section("The model's parameters", text=text, table=Table(head, rows)))
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tcbi_bringup.domain_lock import DOMAINS, hold_domain
 from tcbi_bringup.demo.lab_node import LabNode, laboratory
+from tcbi_bringup.domain_lock import DOMAINS, hold_domain
 from tcbi_bringup.errors import DemoError, SecondGraphError
 from tcbi_bringup.launcher import Graph, NodeProcess
 

@@ -1,7 +1,7 @@
 """What no experimenter can repeat: how the robot was put down, what the battery gives just now, the dust on its feet.
 
-A real robot that repeats a motion differs from itself by more than its sensors' noise. These are drawn anew each time the
-robot is put down; their sizes are those of careful work on a bench.
+A real robot that repeats a motion differs from itself by more than its sensors' noise. These are drawn anew each time
+the robot is put down; their sizes are those of careful work on a bench.
 """
 
 from dataclasses import dataclass
