@@ -106,7 +106,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def common_lag(m: Measurement, reach: float = 0.5, step: float = 0.01) -> float:
-    """The lag (s) at which all joints together follow their commands best; NaN if too little moves."""
+    """The lag (s) at which all joints together follow their commands best; NaN if the motion does not tell."""
     asked_std = np.std(reference(m, m.time), axis=0)
     moving = asked_std > MOVES
     if not moving.any():
@@ -121,7 +121,9 @@ def common_lag(m: Measurement, reach: float = 0.5, step: float = 0.01) -> float:
         asked = reference(m, m.time[inside] - lag)[:, moving]
         difference = target - asked
         errors.append(np.mean((difference - difference.mean(axis=0)) ** 2))
-    return float(lags[int(np.argmin(errors))])
+    best, at_zero = int(np.argmin(errors)), errors[len(lags) // 2]
+    told = at_zero > 4 * errors[best] + 1e-6  # a steady ramp looks the same at any lag
+    return float(lags[best]) if told else float("nan")
 
 
 def _lag(m: Measurement) -> list[str]:

@@ -13,10 +13,12 @@ import numpy as np
 
 from tcbi_infer.compare.comparison import compare, error_over_floor
 from tcbi_infer.compare.guards import guard
+from tcbi_infer.compare.locate import worst_moments
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import MIN_KINDS, Split, split
-from tcbi_infer.diagnose.evidence import EFFECT, Diagnosis, Evidence, ParameterEstimate
+from tcbi_infer.compare.signals import JOINT
+from tcbi_infer.diagnose.evidence import Diagnosis, Evidence, Moment, ParameterEstimate
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.heldout import HeldOut, held_out, intervals
 from tcbi_infer.diagnose.null import Null, simulate_null
@@ -100,9 +102,18 @@ class _Run:
     def go(self) -> Diagnosis:
         """All stages in order."""
         coarse, nuisance = self.fit_base()
+        self.coarse = coarse
+        self.held: dict[str, HeldOut] = {}
         self.progress("screening effects", 0.25)
         directions = simulate_directions(
-            self.problem, coarse, self.uses, self.sets, self.settings.coarse, self.settings.seed, self._screened()
+            self.problem,
+            coarse,
+            nuisance,
+            self.uses,
+            self.sets,
+            self.settings.coarse,
+            self.settings.seed,
+            self._screened(),
         )
         base = self._refit(coarse, nuisance)
         if not directions.uses:
@@ -133,9 +144,9 @@ class _Run:
         )
         self.problem = self.problem.with_autocorrelation(self._full(first.residual))
         self.progress("fitting the base model", 0.12)
-        nuisance = joint_scatter(self.problem, first, self.settings.coarse)
+        nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
         again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
-        return again.run(first.unit[None], steps=(0.06, 0.05, 0.04, 0.04)), nuisance
+        return again.run(first.unit[None], steps=(0.06, 0.04, 0.02)), nuisance
 
     def _full(self, residual: np.ndarray) -> np.ndarray:
         full = np.zeros_like(self.problem.observed)
@@ -144,7 +155,7 @@ class _Run:
 
     def _refit(self, fit: Fit, nuisance: Nuisance) -> Fit:
         fine = Fitter(self.problem, fit.model, nuisance, self.sets, self.settings.timestep)
-        return fine.run(fit.unit[None], fit.nuisance, steps=(0.03,))
+        return fine.run(fit.unit[None], fit.nuisance, steps=(0.02, 0.01))
 
     def _screened(self) -> Callable[[str], None]:
         count = itertools.count(1)
@@ -170,7 +181,7 @@ class _Run:
             model = screen.directions.models[u]
             self.progress(f"fitting {screen.directions.uses[u]}", 0.55 + 0.3 * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
-            rough = fitter.run(screen.start(data, u, coarse), coarse.nuisance, steps=(0.08, 0.06, 0.04))
+            rough = fitter.run(screen.start(data, u, coarse), coarse.nuisance, steps=(0.08, 0.05, 0.03))
             fits[u] = rough, self._refit(rough, nuisance)
         return fits
 
@@ -195,15 +206,26 @@ class _Run:
                 fit = fits[u][1]
                 held = held_out(self.problem, fit, nuisance, self.sets, self.settings.timestep)
                 error_after = self._unseen_error(fit, held)
-                result.append(self._refined(use, base, fit, held, held.score - before.score, error_before, error_after))
+                self.held[use] = held
+                drift = self._drift(fits[u][0], fit)
+                gains_held = held.score - before.score
+                result.append(self._refined(use, base, fit, held, gains_held, error_before, error_after, drift))
             else:
                 result.append(_screened_only(use, gains[:, u], error_before))
         return sorted(result, key=lambda e: (not e.refined, -e.elpd_gain))
 
     def _refined(
-        self, use: str, base: Fit, fit: Fit, held: HeldOut, gains: np.ndarray, error_before: float, error_after: float
+        self,
+        use: str,
+        base: Fit,
+        fit: Fit,
+        held: HeldOut,
+        gains: np.ndarray,
+        error_before: float,
+        error_after: float,
+        drift: np.ndarray,
     ) -> Evidence:
-        low, high, covariance = intervals(fit, held)
+        low, high, covariance = intervals(fit, held, drift)
         count = len(base.unit)
         lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)
         parameters = tuple(
@@ -226,6 +248,11 @@ class _Run:
             values=tuple(float(v) for v in fit.parameters),
             spread=tuple(tuple(float(x) for x in row) for row in covariance),
         )
+
+    def _drift(self, coarse: Fit, fine: Fit) -> np.ndarray:
+        """(P,) how far the optimum may still move below the fine time step, from how far it moved down to it."""
+        rest = self.settings.timestep / max(self.settings.coarse - self.settings.timestep, self.settings.timestep)
+        return rest * np.abs(fine.unit - coarse.unit)
 
     def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
         """Error over the floor on sealed motions, cross-validated where none are sealed; without joint scatter."""
@@ -265,9 +292,10 @@ class _Run:
             judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, confused_with=alike.get(e.use, ())))
         ranking = _mark_rivals(judged)
         ruling = rule(ranking, base_error, 0.0, kinds)
-        base_evidence = self._refined(
-            "", base, base, before, np.zeros(len(before.score)), *([self._unseen_error(base, before)] * 2)
-        )
+        unseen = self._unseen_error(base, before)
+        no_gain = np.zeros(len(before.score))
+        drift = self._drift(self.coarse, base)
+        base_evidence = self._refined("", base, base, before, no_gain, unseen, unseen, drift)
         return self._package(ruling, ranking, null, directions, base, base_evidence, kinds)
 
     def _package(self, ruling, ranking, null, directions, base, base_evidence, kinds) -> Diagnosis:
@@ -295,7 +323,33 @@ class _Run:
             guards=tuple(guard(self.measurements)),
             claims=tuple(self._claims(kinds, sealed, null)),
             base=base_evidence,
+            moments=tuple(self._moments(best)),
         )
+
+    def _moments(self, best: Evidence | None, count: int = 4, span_s: float = 1.5) -> list[Moment]:
+        """The worst moments of the base model, held out, with and without the best candidate."""
+        if best is None:
+            return []
+        layout, before = self.replay.layout, self.base_held.residual
+        span = round(span_s * layout.rate)
+        found = []
+        for s, t, c in worst_moments(before, self.floor.values, layout.where(JOINT), count, span):
+            cut = slice(t, t + span)
+            observed = self.problem.observed[self.sets[s], cut, c]
+            group = self.replay.replicates[self.sets[s]]
+            found.append(
+                Moment(
+                    layout.channels[c].name,
+                    layout.channels[c].group.unit,
+                    self.replay.measurements[group.members[0]].rollout_id,
+                    self.replay.time[cut],
+                    observed,
+                    observed - before[s, cut, c],
+                    observed - self.held[best.use].residual[s, cut, c],
+                    float(self.floor.values[c]),
+                )
+            )
+        return found
 
     def _claims(self, kinds: int, sealed: Sequence[Measurement], null: Null) -> list[str]:
         claims = [f"{kinds} kinds of motion were held out in turn; {len(sealed)} rollouts stayed sealed until the end."]
@@ -340,4 +394,4 @@ def _mark_rivals(ranking: list[Evidence]) -> list[Evidence]:
     return sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
 
 
-__all__ = ["EFFECT", "Settings", "diagnose"]
+__all__ = ["Settings", "diagnose"]

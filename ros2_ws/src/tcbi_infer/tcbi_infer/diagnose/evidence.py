@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from tcbi_infer.compare.comparison import Comparison
-
 EFFECT, CANNOT_TELL = "effect", "cannot_tell"
 NOTHING_MISSING, OUTSIDE_LIBRARY = "nothing_missing", "outside_library"
 
@@ -69,6 +67,20 @@ class Evidence:
 
 
 @dataclasses.dataclass(frozen=True)
+class Moment:
+    """A piece of one signal, predicted by fits that had not seen its kind of motion; arrays are (T,) in `unit`."""
+
+    signal: str
+    unit: str
+    rollout: str
+    time: np.ndarray  # s
+    measured: np.ndarray
+    before: np.ndarray  # base model
+    after: np.ndarray | None  # with the best candidate
+    floor: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """The verdict and everything that it rests on.
 
@@ -78,6 +90,7 @@ class Diagnosis:
       threshold: of the statistic, from simulations of "nothing missing".
       errors: the ladder: label -> error over noise floor, on rollouts that no fit saw.
       untestable: uses that change nothing in these rollouts.
+      moments: where the base model fails worst, with and without the best candidate.
       claims: caveats in sentences: how the data were split, what no claim is made about.
     """
 
@@ -97,15 +110,14 @@ class Diagnosis:
     guards: tuple[str, ...]
     claims: tuple[str, ...]
     base: Evidence
-    comparison: Comparison | None = None  # of the base model at its fitted parameters
-    after: Comparison | None = None  # of the best candidate
+    moments: tuple[Moment, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""
         fields = {
             f.name: getattr(self, f.name)
             for f in dataclasses.fields(self)
-            if f.name not in ("comparison", "after", "ranking", "base")
+            if f.name not in ("moments", "ranking", "base")
         }
         ranking = [e.to_json() for e in self.ranking]
         return _plain({**fields, "ranking": ranking, "base": self.base.to_json()})

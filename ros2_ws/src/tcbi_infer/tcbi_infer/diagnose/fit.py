@@ -13,8 +13,9 @@ import numpy as np
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import Model
 
-STEPS = (0.12, 0.1, 0.08, 0.06, 0.04, 0.04)  # of a parameter's range, one for each iteration
+STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
 STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
+FINALISTS = 3  # of many starts
 SMALL_STEP = 0.02  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 
@@ -93,12 +94,10 @@ class Fitter:
     def __init__(self, problem: Problem, model: Model, nuisance: Nuisance, sets: np.ndarray, timestep: float) -> None:
         self.problem, self.model, self.nuisance, self.timestep = problem, model, nuisance, timestep
         self.sets = np.asarray(sets, int)
-        self.simulated = 0
 
     def predict(self, unit: np.ndarray) -> np.ndarray:
         """(N, P) unit vectors -> (N, open sets, T, C)."""
         unit = np.atleast_2d(unit)
-        self.simulated += len(unit) * len(self.sets)
         return self.problem.replay.predict(self.model, to_physical(self.model, unit), list(self.sets), self.timestep)
 
     def residual(self, predicted: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
@@ -112,17 +111,28 @@ class Fitter:
         return self.problem.scales(np.nan_to_num(full), self.sets)
 
     def best_start(self, starts: np.ndarray, nuisance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The best of (N, P) starting points by the scale-free loss, and its prediction (open sets, T, C)."""
+        """The best of (N, P) starting points by the scale-free loss, and its prediction (open sets, T, C).
+
+        Of many starts only a few go on to all sets; a few sets tell which.
+        """
+        if len(starts) > 2 * FINALISTS and len(self.sets) > FINALISTS:
+            few = Fitter(self.problem, self.model, self.nuisance, self.sets[:FINALISTS], self.timestep)
+            totals = few.start_losses(few.predict(starts), nuisance)
+            starts = np.asarray(starts)[np.argsort(totals)[:FINALISTS]]
         predicted = self.predict(starts)
-        totals = []
+        best = int(np.argmin(self.start_losses(predicted, nuisance)))
+        return np.asarray(starts[best], float), predicted[best]
+
+    def start_losses(self, predicted: np.ndarray, nuisance: np.ndarray) -> list[float]:
+        """Loss of each prediction (N, open sets, T, C) at its own scales."""
+        totals: list[float] = []
         for each in predicted:
             residual = self.residual(each, nuisance)
             if not np.isfinite(residual).all():
                 totals.append(np.inf)
                 continue
             totals.append(float(self.problem.loss(residual, self.scales(residual), self.sets).sum()))
-        best = int(np.argmin(totals))
-        return np.asarray(starts[best], float), predicted[best]
+        return totals
 
     def run(
         self,

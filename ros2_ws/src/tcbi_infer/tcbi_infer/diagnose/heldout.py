@@ -84,11 +84,20 @@ def _predict_folds(
     return problem.residual(predicted + shift, sets)
 
 
-def intervals(fit: Fit, held: HeldOut, level: float = 0.9) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def intervals(
+    fit: Fit, held: HeldOut, drift: np.ndarray, level: float = 0.9
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Interval of each parameter in unit space.
 
     The spread is the larger of two: the curvature of the loss, in which samples already count by their autocorrelation,
     and the jackknife over kinds of motion, which also sees what the model gets wrong differently from motion to motion.
+    To it comes what the simulation's own time step leaves uncertain.
+
+    Args:
+      fit: the fit.
+      held: its held-out predictions.
+      drift: (P,) how far the optimum may still move as the time step goes to zero.
+      level: of the interval.
 
     Returns:
       low, high: (P,); covariance: (P, P).
@@ -102,7 +111,7 @@ def intervals(fit: Fit, held: HeldOut, level: float = 0.9) -> tuple[np.ndarray, 
     else:
         jackknife = np.zeros_like(curvature)
     grow = np.sqrt(np.maximum(1.0, np.diag(jackknife) / np.diag(curvature)))
-    covariance = curvature * np.outer(grow, grow)
+    covariance = curvature * np.outer(grow, grow) + np.diag(drift**2 / 3.0)
     quantile = stats.t.ppf(0.5 + level / 2, max(folds - 1, 2))
     half = quantile * np.sqrt(np.diag(covariance))
     return np.clip(fit.unit - half, 0, 1), np.clip(fit.unit + half, 0, 1), covariance

@@ -10,7 +10,7 @@ SCATTER = 0.03  # standard deviation of one servo's gain about its siblings', re
 STEP = 2.0  # standard deviations, of the finite difference
 
 
-def joint_scatter(problem: Problem, base: Fit, timestep: float) -> Nuisance:
+def joint_scatter(problem: Problem, base: Fit, sets: np.ndarray, timestep: float) -> Nuisance:
     """How each joint's own gain changes the prediction, for one standard deviation; none for a rig with one joint."""
     rig = load_rig(base.model.rig)
     taken = {use.partition(":")[2] for use in base.model.effects if use.startswith("gain_scatter:")}
@@ -24,6 +24,7 @@ def joint_scatter(problem: Problem, base: Fit, timestep: float) -> Nuisance:
     vectors = np.ones((len(joints) + 1, count + len(joints)))
     vectors[:, :count] = base.parameters
     vectors[np.arange(len(joints)), count + np.arange(len(joints))] = 1.0 + STEP * SCATTER
-    predicted = problem.replay.predict(model, vectors, timestep=timestep)
-    change = np.nan_to_num(predicted[:-1] - predicted[-1]) / STEP
-    return Nuisance(np.moveaxis(change, 0, -1), tuple(joints))
+    predicted = problem.replay.predict(model, vectors, list(sets), timestep)
+    effect = np.zeros((*problem.observed.shape, len(joints)))
+    effect[sets] = np.moveaxis(np.nan_to_num(predicted[:-1] - predicted[-1]) / STEP, 0, -1)
+    return Nuisance(effect, tuple(joints))

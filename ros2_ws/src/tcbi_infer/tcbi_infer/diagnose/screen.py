@@ -12,10 +12,12 @@ import numpy as np
 
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_physical
 from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.scatter import SCATTER
 from tcbi_sim.model import Model
 
 SIZES = (0.1, 0.35)  # of the range on one side of the null value
 ONE_SIZE = 0.2  # where one effect has many places
+SCREENED_SCATTER = 6.0  # standard deviations of the scatter between joints: one odd joint
 MOST_STRETCH = 1.6  # of a direction beyond the simulated size
 INFLUENCE = 0.15  # of the noise floor: less than this at every size is no influence
 
@@ -76,6 +78,7 @@ def effect_points(model: Model, base_count: int, many: bool, rng: np.random.Gene
 def simulate_directions(
     problem: Problem,
     base: Fit,
+    nuisance: Nuisance,
     uses: Sequence[str],
     sets: np.ndarray,
     timestep: float,
@@ -89,10 +92,17 @@ def simulate_directions(
     owner, units, changes, bounds, models, untestable, kept = [], [], [], [], [], [], []
     for use, name in zip(uses, names, strict=True):
         model = base.model.with_effect(use)
-        points = effect_points(model, len(base.unit), names.count(name) > 1, rng)
-        vectors = np.concatenate([np.repeat(base.unit[None], len(points), axis=0), points], axis=1)
-        predicted = problem.replay.predict(model, to_physical(model, vectors), list(sets), timestep)
-        change = np.where(problem.weight[list(sets)] > 0, predicted - reference, 0.0)
+        joint = use.partition(":")[2]
+        if name == "gain_scatter" and joint in nuisance.names:  # simulated already
+            scale = model.parameters[-1]
+            points = np.array([[float(scale.to_unit(1.0 + SCREENED_SCATTER * SCATTER))]])
+            change = SCREENED_SCATTER * nuisance.effect[sets][..., nuisance.names.index(joint)][None]
+        else:
+            points = effect_points(model, len(base.unit), names.count(name) > 1, rng)
+            vectors = np.concatenate([np.repeat(base.unit[None], len(points), axis=0), points], axis=1)
+            predicted = problem.replay.predict(model, to_physical(model, vectors), list(sets), timestep)
+            change = predicted - reference
+        change = np.where(problem.weight[list(sets)] > 0, change, 0.0)
         alive = np.isfinite(change).all(axis=(1, 2, 3))
         if progress:
             progress(use)

@@ -81,7 +81,7 @@ def overlay(
     """Measured against predicted motion with the predictive 90 % band; `after` is another model's prediction."""
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(2.5)
-        axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="predicted, 90 %")
+        axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="90 % band")
         axes.plot(time, predicted, color=BLUE, label="predicted")
         if after is not None:
             axes.plot(time, after, color=GREEN, ls="-.", label="with the effect")

@@ -92,6 +92,8 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in d.errors.items()])
     if d.ranking:
         report.add(_ranking(d))
+    if d.moments:
+        report.add(_moments(d))
     named = [e for e in d.ranking if e.use in d.uses and e.refined]
     if named:
         report.add(_sizes(named))
@@ -129,6 +131,25 @@ def _ranking(d: Diagnosis, most: int = 12) -> Section:
         figures=[Figure(svg, "Held-out gain of each candidate; in colour what the verdict names.", wide=True)],
         table=Table(head, rows, "All candidates in figures"),
         folded=True,
+    )
+
+
+def _moments(d: Diagnosis) -> Section:
+    figures = []
+    for m in d.moments:
+        half = 1.645 * m.floor
+        svg = plots.overlay(
+            m.time, m.measured, m.before, m.before - half, m.before + half, f"{m.signal} / {m.unit}", m.after
+        )
+        figures.append(Figure(svg, f"{m.signal} in rollout {m.rollout}."))
+    return Section(
+        "The worst moments",
+        text=[
+            "Where the model without any new effect fails worst, and what the best candidate "
+            f"({d.ranking[0].use}) makes of it. Both were fitted to other kinds of motion than the one shown. The "
+            "band is the noise floor.",
+        ],
+        figures=figures,
     )
 
 

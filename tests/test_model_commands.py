@@ -1,0 +1,85 @@
+"""From bags to the next model version on the command line: compare, diagnose, add, history, export-model."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tcbi_bringup import cli
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Scenario
+from tcbi_sim.model import base_model
+
+LATENCY = 0.06  # s
+STEPS = np.arange(20) * 0.2
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory) -> Path:
+    """Five kinds of motion of a servo bench with late commands, each twice."""
+    folder = tmp_path_factory.mktemp("bags")
+    rng = np.random.default_rng(0)
+    motions = [0.6 * np.sin(2 * np.pi * f * STEPS) for f in (0.3, 0.5, 0.8)] + [
+        np.repeat(rng.uniform(-1, 1, 5), 4),
+        np.linspace(0, 1.2, 20),
+    ]
+    commands = [Commands(STEPS, m[:, None]) for m in motions]
+    scenarios = [Scenario("log", 4.0, settle=0.0) for _ in motions]
+    model = base_model("servo_bench").with_effect("command_latency")
+    out = simulate(model, np.array([[5e-3, 0.02, 0.015, LATENCY]]), scenarios, commands=commands, timestep=0.001)
+    for s in range(len(motions)):
+        for repeat in range(2):
+            clean = out.measurement(0, s)
+            noisy = clean.joint_position + rng.normal(0, 0.001, clean.joint_position.shape)
+            name = f"motion{s}"
+            recording = dataclasses.replace(
+                clean, rollout_id=f"{name}_{repeat}", policy_id=name, commands=commands[s], joint_position=noisy
+            )
+            write_measurement(folder, recording)
+    return folder
+
+
+def answer(capsys, *words: object) -> dict:
+    """The JSON object that a command prints; nothing else may stand on standard output."""
+    capsys.readouterr()
+    assert cli.main([str(w) for w in (*words, "--json")]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
+    store = ("--store", tmp_path)
+    before = answer(capsys, "compare", bags, "--model", "servo_bench-v0", *store)
+    assert before["error_over_floor"] > 3 and before["floor_from_replicates"] and Path(before["report"]).is_file()
+    assert {"model", "rollouts", "signals", "error_over_floor", "where"} <= set(before)
+
+    found = answer(capsys, "diagnose", bags, "--effects", "command_latency,rotor_inertia", *store)
+    assert (found["verdict"], found["effects"]) == ("effect", ["command_latency"])
+    (delay,) = found["ranking"][0]["parameters"]
+    assert delay["low90"] <= LATENCY <= delay["high90"]
+
+    added = answer(capsys, "add", "command_latency", "--rig", "servo_bench", *store)
+    assert added == {"model": "servo_bench-v1", "parent": "servo_bench-v0", "effect": "command_latency"}
+
+    versions = answer(capsys, "history", bags, *store)["models"]
+    assert [v["model"] for v in versions] == ["servo_bench-v0", "servo_bench-v1"]
+    assert versions[1]["error_over_floor"] < 1.5 < versions[0]["error_over_floor"]
+    assert versions[1]["effects"] == ["command_latency"]
+
+    file = tmp_path / "bench.xml"
+    assert answer(capsys, "export-model", file, "--rig", "servo_bench", *store)["model"] == "servo_bench-v1"
+    assert mujoco.MjModel.from_xml_path(str(file)).nu == 1
+
+
+def test_adding_what_no_diagnosis_fitted_is_refused_in_one_line(tmp_path, capsys):
+    assert cli.main(["add", "backlash", "--rig", "servo_bench", "--store", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "--prior" in error
+
+
+def test_an_unknown_effect_is_refused_before_any_fit(bags, tmp_path, capsys):
+    assert cli.main(["add", "backlsh", str(bags), "--store", str(tmp_path)]) == 1
+    assert "did you mean 'backlash'" in capsys.readouterr().err
