@@ -13,6 +13,7 @@ from scipy import stats
 
 from tcbi_policy.artefact import Actor
 from tcbi_policy.environment import TIMESTEP_S
+from tcbi_policy.mlp import Mlp
 from tcbi_policy.reward import inclination, progress, simulated_rewards
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Scenario
@@ -66,14 +67,32 @@ def evaluate(
     actor: Actor, model: Model, conditions: Conditions, timestep: float = TIMESTEP_S, threads: int = 0
 ) -> Evaluation:
     """Roll a policy out, once in each condition."""
-    how = {"pairing": "zip", "timestep": timestep, "threads": threads}
-    out = simulate(model, conditions.parameters, conditions.scenarios, controller=actor, **how)
+    parameters, scenarios = conditions.parameters, conditions.scenarios
+    out = simulate(
+        model, parameters, scenarios, controller=actor, pairing="zip", timestep=timestep, threads=threads
+    )  # fmt: skip
     assert out.attitude is not None and out.position is not None
     lost = out.diverged[:, 0]
     heading = np.array([s.initial_yaw for s in conditions.scenarios])
     ends = (inclination(out.attitude[:, 0, -1]), progress(out.position[:, 0], heading)[:, -1])
     returns = np.nansum(simulated_rewards(out)[:, 0], axis=-1)
     return Evaluation(*(np.where(lost, np.nan, values) for values in (returns, *ends)))
+
+
+@dataclass(frozen=True)
+class Network:
+    """A bare network as a controller, while it is in training."""
+
+    mlp: Mlp
+    policy_id: str = "in training"
+    needs_attitude: bool = True
+
+    def reset(self, count: int, rng: np.random.Generator | None = None) -> None:
+        """It has no state."""
+
+    def act(self, time: float, observation: np.ndarray) -> np.ndarray:
+        """Joint targets (B, J) in rad for observations (B, J + 3) in rad."""
+        return self.mlp(observation)
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium.spaces import Box
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from tcbi_contract.names import JOINTS
+from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.mlp import Mlp
 
@@ -75,6 +77,35 @@ class HexapodVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """There are no wrappers."""
         return [False] * self.num_envs
+
+
+def make_algorithm(config: TrainingConfig, environment: HexapodVecEnv) -> BaseAlgorithm:
+    """PPO or SAC with the configuration's settings; PPO's sets of steps are whole episodes."""
+    layers = {"net_arch": list(config.layers), "activation_fn": torch.nn.Tanh}
+    common: dict[str, Any] = {
+        "learning_rate": config.learning_rate, "batch_size": config.batch_size, "gamma": config.gamma,
+        "seed": config.seed, "device": "cpu",
+    }  # fmt: skip
+    if config.algorithm == "ppo":
+        return PPO(
+            "MlpPolicy", environment, n_steps=environment.inner.steps, n_epochs=config.epochs,
+            gae_lambda=config.gae_lambda, clip_range=config.clip,
+            policy_kwargs={**layers, "log_std_init": float(np.log(config.noise))}, **common,
+        )  # fmt: skip
+    return SAC(
+        "MlpPolicy", environment, tau=config.tau, gradient_steps=config.updates, train_freq=1,
+        buffer_size=config.buffer, learning_starts=10 * config.batch_size, policy_kwargs=layers, **common,
+    )  # fmt: skip
+
+
+def freeze_actor(algorithm: BaseAlgorithm, frozen: bool) -> None:
+    """Let only the value be fitted, as long as it knows nothing of a policy that is good already."""
+    policy: Any = algorithm.policy
+    if not hasattr(policy, "mlp_extractor"):
+        return
+    for part in (policy.mlp_extractor.policy_net, policy.action_net):
+        part.requires_grad_(not frozen)
+    policy.log_std.requires_grad_(not frozen)
 
 
 def actor_layers(algorithm: BaseAlgorithm) -> list[torch.nn.Linear]:

@@ -25,8 +25,6 @@ import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import save
-from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from tcbi_contract.errors import TcbiError
@@ -34,14 +32,16 @@ from tcbi_policy.artefact import Card, Policy, find_policy, replace_file, save_p
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
-from tcbi_policy.evaluation import Conditions, compare_paired, draw_conditions, evaluate
+from tcbi_policy.evaluation import Conditions, Network, compare_paired, draw_conditions, evaluate
 from tcbi_policy.gaits import CYCLES
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
 from tcbi_policy.runs import Run
 from tcbi_policy.stable_baselines import (
     HexapodVecEnv,
+    freeze_actor,
     from_mlp,
+    make_algorithm,
     replay_bytes,
     restore_replay,
     restore_tensors,
@@ -98,7 +98,7 @@ class Training:
             squash=config.algorithm == "ppo", timestep=config.timestep, threads=config.threads,
         )  # fmt: skip
         torch.set_num_threads(1)  # the same sums in the same order; the physics uses the processors
-        self.algorithm = _algorithm(config, HexapodVecEnv(self.environment, config.reward_scale))
+        self.algorithm = make_algorithm(config, HexapodVecEnv(self.environment, config.reward_scale))
         self.best: Mlp = self.present()
         self._began, self._began_cpu = time.monotonic(), time.process_time()
         self._resumed_at = 0
@@ -168,7 +168,7 @@ class Training:
         seed = [self.config.seed, self.state.sets]
         np.random.seed(np.random.SeedSequence(seed).generate_state(1))
         torch.manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
-        _freeze_actor(self.algorithm, self.state.sets < self.config.warm_up)
+        freeze_actor(self.algorithm, self.state.sets < self.config.warm_up)
 
     def progress(self) -> None:
         """Say how far the run is."""
@@ -200,7 +200,7 @@ class Training:
             return
         present = self.present()
         result = evaluate(
-            _Network(present), self.model, self.conditions, self.config.timestep, self.config.threads
+            Network(present), self.model, self.conditions, self.config.timestep, self.config.threads
         ).summary()
         self._clock()
         point = {"steps": self.state.steps, "cpu_s": round(self.state.cpu, 1), **result}
@@ -246,21 +246,6 @@ class Training:
         return True
 
 
-@dataclass
-class _Network:
-    """A bare network as a controller."""
-
-    mlp: Mlp
-    policy_id: str = "in training"
-    needs_attitude: bool = True
-
-    def reset(self, count: int, rng: np.random.Generator | None = None) -> None:
-        """It has no state."""
-
-    def act(self, time: float, observation: np.ndarray) -> np.ndarray:
-        return self.mlp(observation)
-
-
 class _Progress(BaseCallback):
     """Stable-Baselines3's hook between sets of episodes."""
 
@@ -278,34 +263,6 @@ class _Progress(BaseCallback):
     def _on_step(self) -> bool:
         between_sets = self._training.environment.generation != self._sets
         return between_sets or not self._training.out_of_time()  # a set that is not complete is not learnt from
-
-
-def _algorithm(config: TrainingConfig, environment: HexapodVecEnv) -> BaseAlgorithm:
-    layers = {"net_arch": list(config.layers), "activation_fn": torch.nn.Tanh}
-    common: dict[str, Any] = {
-        "learning_rate": config.learning_rate, "batch_size": config.batch_size, "gamma": config.gamma,
-        "seed": config.seed, "device": "cpu",
-    }  # fmt: skip
-    if config.algorithm == "ppo":
-        return PPO(
-            "MlpPolicy", environment, n_steps=environment.inner.steps, n_epochs=config.epochs,
-            gae_lambda=config.gae_lambda, clip_range=config.clip,
-            policy_kwargs={**layers, "log_std_init": float(np.log(config.noise))}, **common,
-        )  # fmt: skip
-    return SAC(
-        "MlpPolicy", environment, tau=config.tau, gradient_steps=config.updates, train_freq=1,
-        buffer_size=config.buffer, learning_starts=10 * config.batch_size, policy_kwargs=layers, **common,
-    )  # fmt: skip
-
-
-def _freeze_actor(algorithm: BaseAlgorithm, frozen: bool) -> None:
-    """Let only the value be fitted, as long as it knows nothing of a policy that is good already."""
-    policy: Any = algorithm.policy
-    if not hasattr(policy, "mlp_extractor"):
-        return
-    for part in (policy.mlp_extractor.policy_net, policy.action_net):
-        part.requires_grad_(not frozen)
-    policy.log_std.requires_grad_(not frozen)
 
 
 def library_versions() -> dict[str, str]:

@@ -11,9 +11,13 @@ SUMMARY = "List the policies, show one's card, or measure it in simulations draw
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to look at."""
     parser.add_argument("policy", nargs="?", default="", help="policy file, its name, or gait:NAME; nothing lists all")
-    parser.add_argument("--measure", action="store_true", help="roll it out and report return, inclination and distance")
+    parser.add_argument(
+        "--measure", action="store_true", help="roll it out and report return, inclination and distance"
+    )
     parser.add_argument("--task", default="", help="task to measure it in (default: the one that it was trained for)")
-    parser.add_argument("--model", default="latest", help="model version whose parameters are drawn (default: the newest)")
+    parser.add_argument(
+        "--model", default="latest", help="model version whose parameters are drawn (default: the newest)"
+    )
     parser.add_argument("--rollouts", type=int, default=64, help="how many rollouts to measure with (default: 64)")
     parser.add_argument("--seed", type=int, default=1, help="of parameters and scenarios (default: 1)")
     console.add_store(parser)
@@ -66,12 +70,10 @@ def _facts(policy: Any) -> dict[str, Any]:
 
     if not isinstance(policy, Policy):
         return {"policy_id": policy.policy_id, "task": "", "description": "scripted gait"}
-    card = policy.card
-    return {
-        "policy_id": policy.policy_id, "task": card.task, "model": card.model, "parent": card.parent, "created": card.created,
-        "algorithm": card.training.get("algorithm"), "steps": card.training.get("steps_taken"), "cpu_s": card.training.get("cpu_s"),
-        "seed": card.training.get("seed"), "mean_return": card.training.get("mean_return"), "path": str(policy.path),
-    }  # fmt: skip
+    card, training = policy.card, policy.card.training
+    facts = {"policy_id": policy.policy_id, "path": str(policy.path), "steps": training.get("steps_taken")}
+    facts |= {key: getattr(card, key) for key in ("task", "model", "parent", "created")}
+    return facts | {key: training.get(key) for key in ("algorithm", "cpu_s", "seed", "mean_return")}
 
 
 def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any]:

@@ -11,12 +11,20 @@ SUMMARY = "Train a policy's successor on a model's posterior; it is kept only if
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which policy, on which model, and for how long."""
     parser.add_argument("--task", required=True, help="balance or forward")
-    parser.add_argument("--policy", default="", help="the policy to beat, and to start from (default: the newest of the task)")
+    parser.add_argument(
+        "--policy", default="", help="the policy to beat, and to start from (default: the newest of the task)"
+    )
     parser.add_argument("--scratch", action="store_true", help="train from scratch instead of from that policy")
-    parser.add_argument("--model", default="latest", help="model version whose posterior is drawn from (default: the newest)")
+    parser.add_argument(
+        "--model", default="latest", help="model version whose posterior is drawn from (default: the newest)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
-    parser.add_argument("--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)")
-    parser.add_argument("--budget", type=float, default=0.0, metavar="SECONDS", help="stop training after this time, too")
+    parser.add_argument(
+        "--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)"
+    )
+    parser.add_argument(
+        "--budget", type=float, default=0.0, metavar="SECONDS", help="stop training after this time, too"
+    )
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(
@@ -41,8 +49,9 @@ def run(args: argparse.Namespace) -> int:
     with console.progress("training", total=planned.config.steps) as advance:
         outcome = retrain(job, lambda event: follow(event, advance))
     result: dict[str, Any] = {
-        "accepted": outcome.accepted, "policy": outcome.path, "name": outcome.reference, "rival": current, "task": args.task,
-        "model": planned.model, "return_before": outcome.return_before, "return_after": outcome.return_after,
+        "accepted": outcome.accepted, "policy": outcome.path, "name": outcome.reference, "rival": current,
+        "task": args.task, "model": planned.model,
+        "return_before": outcome.return_before, "return_after": outcome.return_after,
         "message": outcome.message,
     }  # fmt: skip
     if args.json:

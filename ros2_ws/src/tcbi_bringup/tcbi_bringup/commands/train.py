@@ -14,12 +14,18 @@ SUMMARY = "Train a policy for a task in simulations drawn from a model; a run th
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, and for how long."""
     parser.add_argument("--task", required=True, help="balance or forward")
-    parser.add_argument("--preset", default="fast", help="fast (minutes, PPO) or paper (half a day, SAC as in the paper)")
+    parser.add_argument(
+        "--preset", default="fast", help="fast (minutes, PPO) or paper (half a day, SAC as in the paper)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument("--out", default="", help="name in the store, or path of a .safetensors file (default: TASK-N)")
-    parser.add_argument("--model", default="latest", help="model version whose parameters are drawn (default: the newest)")
+    parser.add_argument(
+        "--model", default="latest", help="model version whose parameters are drawn (default: the newest)"
+    )
     parser.add_argument("--start", default="", help="policy to go on from (default: from scratch)")
-    parser.add_argument("--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)")
+    parser.add_argument(
+        "--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)"
+    )
     parser.add_argument("--budget", type=float, default=0.0, metavar="SECONDS", help="stop after this time, too")
     console.add_store(parser)
     console.add_json(parser)
@@ -68,7 +74,9 @@ def _plan(args: argparse.Namespace, store: Any) -> Any:
         find_policy(args.start, store.root)
         config = fine_tuning(config)
     changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "steps": args.steps or config.steps}
-    return Run(dataclasses.replace(config, **changes).checked(), store.load(args.model).version, str(store.root), args.start)
+    return Run(
+        dataclasses.replace(config, **changes).checked(), store.load(args.model).version, str(store.root), args.start
+    )
 
 
 def _publish(folder: Path, out: str, root: Path) -> Path:
@@ -97,6 +105,8 @@ def follow(event: dict[str, Any], advance: Any) -> None:
             f"final inclination {event['final_inclination_deg']:.1f} degrees, distance {event['distance_m']:.2f} m"
         )
     elif kind == "imitation":
-        console.note(f"copies the gait, round {event['round']} of {event['rounds']}: off by {event['error_rad']:.3f} rad")
+        console.note(
+            f"copies the gait, round {event['round']} of {event['rounds']}: off by {event['error_rad']:.3f} rad"
+        )
     elif kind in ("resumed", "restarted"):
         console.note(event.get("reason") or f"goes on from {event['steps']} steps")
