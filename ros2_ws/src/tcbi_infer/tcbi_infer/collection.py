@@ -73,9 +73,10 @@ def scenario_of(request: Request, index: int) -> Scenario:
 
 
 def rollout_id(request: Request, index: int, now: float | None = None) -> str:
-    """A name that sorts by time and that no other collection gives: `balance-20261121-004512-s1-003`."""
-    day = time.strftime("%Y%m%d-%H%M%S", time.gmtime(now))
-    return f"{request.task}-{day}-s{request.seed}-{index:03d}"
+    """A name that sorts by time (UTC, to the millisecond): `balance-20261121-004512-391-s1-003`."""
+    second, fraction = divmod(time.time() if now is None else now, 1.0)
+    day = time.strftime("%Y%m%d-%H%M%S", time.gmtime(second))
+    return f"{request.task}-{day}-{int(1000 * fraction):03d}-s{request.seed}-{index:03d}"
 
 
 def travelled(start: Sequence[float], end: Sequence[float], orientation: Sequence[float]) -> float:
