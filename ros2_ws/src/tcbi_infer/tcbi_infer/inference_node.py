@@ -50,7 +50,7 @@ class InferenceParameters:
     new_rollouts: int = parameter(4, "finished since the last inference, before the next", low=1, high=100000)
     holdout_every: int = parameter(5, "one rollout in so many is judged on and never fitted; 0 for none", low=0)
     posterior_moved: float = parameter(
-        1.0,
+        0.5,
         "shift of a parameter's mean since the last training that asks for one, in its standard deviations then",
         low=0.0,
     )

@@ -23,7 +23,6 @@ class Worker:
             [sys.executable, "-m", "tcbi_infer.inference_worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
             text=True,
         )
         assert self._process.stdin is not None
@@ -35,12 +34,13 @@ class Worker:
     def _read(self) -> None:
         assert self._process.stdout is not None
         ended = False
-        for line in self._process.stdout:
-            event = json.loads(line)
-            ended = event["event"] in ("done", "failed")
-            self._events.put(event)
+        with self._process.stdout as lines:
+            for line in lines:
+                event = json.loads(line)
+                ended = event["event"] in ("done", "failed")
+                self._events.put(event)
+        status = self._process.wait()
         if not ended:
-            status = self._process.wait()
             self._events.put({"event": "failed", "message": f"the worker process ended with status {status}"})
 
     def events(self) -> Iterator[dict[str, Any]]:

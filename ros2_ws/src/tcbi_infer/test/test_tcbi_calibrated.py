@@ -1,4 +1,4 @@
-"""Calibrated TCBI where the exact posterior is known: covers the truth, is not much wider, does not narrow by itself."""
+"""Calibrated TCBI where the exact posterior is known: covers the truth, is hardly wider, does not narrow by itself."""
 
 import numpy as np
 import pytest

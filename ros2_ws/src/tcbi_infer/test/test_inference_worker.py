@@ -1,0 +1,99 @@
+"""The inference node's worker and folder, without a graph: what is held out, what is said, what a model error is."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tcbi_cases import bench_rollouts
+
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_infer.inference_worker import INFER, Job, finite, moved, run_inference
+from tcbi_infer.rollout_folder import RolloutFolder
+from tcbi_infer.worker_process import Worker
+from tcbi_sim.model import base_model
+from tcbi_sim.store import ModelStore
+
+DEADLINE_S = 100.0
+
+
+@pytest.fixture
+def bags(tmp_path: Path) -> Path:
+    folder = tmp_path / "bags"
+    for i, measurement in enumerate(bench_rollouts(count=6, duration=2.0)[1]):
+        bag = write_measurement(folder, measurement)
+        os.utime(bag, (1000 + i, 1000 + i))
+    return folder
+
+
+def test_every_third_bag_is_held_out_for_good(bags: Path) -> None:
+    folder = RolloutFolder(bags, holdout_every=3)
+    assert folder.look() == 6 and folder.look() == 0
+    assert [b.name for b in folder.held_out] == ["steps_0_2", "steps_0_5"]
+    assert len(folder.fitted) == 4 and not set(folder.fitted) & set(folder.held_out)
+
+
+def test_a_folder_without_bags_is_waited_for(tmp_path: Path) -> None:
+    assert RolloutFolder(tmp_path / "later", 5).look() == 0
+    (tmp_path / "empty").mkdir()
+    assert RolloutFolder(tmp_path / "empty", 5).look() == 0
+
+
+def job(bags: Path, tmp_path: Path, **changes: object) -> Job:
+    fit, judge = sorted(map(str, bags.iterdir()))[:4], sorted(map(str, bags.iterdir()))[4:]
+    values = {"bags": tuple(fit), "held_out": tuple(judge), "particles": 20, "generations": 2}
+    return Job(INFER, str(tmp_path / "store"), "servo_bench-v0", **(values | changes))  # type: ignore[arg-type]
+
+
+def test_a_job_survives_the_way_to_the_worker(bags: Path, tmp_path: Path) -> None:
+    asked = job(bags, tmp_path)
+    assert Job.from_json(asked.to_json()) == asked
+
+
+def test_an_inference_judges_before_and_after_on_rollouts_that_it_did_not_fit(bags: Path, tmp_path: Path) -> None:
+    events: list[tuple[str, dict]] = []
+    run_inference(job(bags, tmp_path), lambda event, **content: events.append((event, content)))
+    kinds = [kind for kind, _ in events if kind != "progress"]
+    assert kinds == ["posterior", "model_error", "model_error"]
+    found = next(content for kind, content in events if kind == "posterior")
+    before, after = (content for kind, content in events if kind == "model_error")
+    assert (before["model"], after["model"]) == ("servo_bench-v0", "servo_bench-v1")
+    assert not set(after["rollouts"]) & set(found["source_rollouts"])
+    assert np.isfinite(found["moved"]) and json.loads(json.dumps(finite(found)))
+    assert ModelStore(tmp_path / "store").load("servo_bench-v1").evidence["inference"]["method"] == "calibrated"
+
+
+def test_a_new_parameter_counts_as_an_unlimited_move() -> None:
+    class Found:
+        model = base_model("servo_bench").with_effect("command_latency")
+
+    assert moved(base_model("servo_bench"), Found()) == float("inf")  # type: ignore[arg-type]
+
+
+def test_a_fault_of_the_input_arrives_as_one_line(tmp_path: Path) -> None:
+    worker = Worker(Job(INFER, str(tmp_path), "latest", (str(tmp_path / "nowhere"),)))
+    events: list[dict] = []
+    deadline = time.monotonic() + DEADLINE_S
+    while not events and time.monotonic() < deadline:
+        events += worker.events()
+        time.sleep(0.05)
+    worker.stop()
+    assert events[0]["event"] == "failed" and "nowhere" in events[0]["message"] and "\n" not in events[0]["message"]
+
+
+def test_a_worker_that_dies_is_a_failure_and_not_a_silence(bags: Path, tmp_path: Path) -> None:
+    worker = Worker(job(bags, tmp_path, generations=100))
+    worker.stop()
+    events = list(worker.events())
+    assert events and events[-1]["event"] == "failed"
+
+
+def test_the_document_lists_the_nodes_parameters_as_they_are() -> None:
+    from tcbi_contract.parameters import parameter_table
+    from tcbi_infer.inference_node import InferenceParameters
+
+    rows = [f"| `{n}` | `{d}` | {a} | {t} |" for n, d, a, t in parameter_table(InferenceParameters)]
+    document = Path(__file__).resolve().parents[4] / "docs" / "tcbi.md"
+    assert "\n".join(rows) in document.read_text(), "\n".join(rows)

@@ -1,0 +1,69 @@
+"""`./tcbi infer`: the contract's keys, a new model version, one clear line for bad input."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tcbi_bringup import cli
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Scenario
+from tcbi_sim.model import base_model
+from tcbi_sim.store import ModelStore
+
+RIG = "servo_bench"
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder, model, times = tmp_path_factory.mktemp("bags"), base_model(RIG), np.arange(0.0, 2.0, 0.4)
+    commands = [Commands(times, np.random.default_rng(i).uniform(-1, 1, (len(times), 1))) for i in range(4)]
+    scenarios = [Scenario("steps", 2.0, seed=i) for i in range(4)]
+    rollouts = simulate(model, model.from_unit(np.full(3, 0.4)), scenarios, commands=commands, timestep=0.005)
+    for i in range(4):
+        write_measurement(folder, rollouts.measurement(0, i, f"steps_{i}", "steps"))
+    return folder
+
+
+def infer(bags: Path, store: Path, *words: str) -> int:
+    return cli.main(["infer", str(bags), "--store", str(store), "--particles", "20", "--generations", "2", *words])
+
+
+def test_json_has_the_contracts_keys_and_nothing_else_is_on_standard_output(bags, tmp_path, capsys) -> None:
+    assert infer(bags, tmp_path, "--json") == 0
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert {"model", "method", "parameters", "ess", "simulations", "seconds"} <= set(found)
+    assert set(found["parameters"][0]) >= {"name", "unit", "mean", "sd", "low90", "high90", "identified"}
+    assert found["method"] == "calibrated" and found["simulations"] == 2 * 20 * 4
+    assert "open loop" in captured.err
+    saved = ModelStore(tmp_path).load(found["model"])
+    assert saved.parent == f"{RIG}-v0"
+    means = dict(zip(saved.names, saved.weights @ saved.particles, strict=True))
+    assert all(means[p["name"]] == pytest.approx(p["mean"]) for p in found["parameters"])
+
+
+def test_the_table_says_of_each_parameter_whether_the_data_tell(bags, tmp_path, capsys) -> None:
+    assert infer(bags, tmp_path, "--method", "paper") == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in ("gain", "damping", "friction", "do the data tell?"))
+    assert "narrows with every generation" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--method", "magic"), "unknown method 'magic'"),
+        (("--statistics", "speed"), "unknown statistic speed"),
+        (("--model", "hexapod-v0"), "is of rig hexapod"),
+        (("--loop", "closed"), "policy 'steps' does not exist"),
+        (("--rollouts", "1"), "at least 2 are needed"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_no_model(bags, tmp_path, capsys, words, said) -> None:
+    assert infer(bags, tmp_path, *words) == 1
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert said in lines[-1]
+    assert ModelStore(tmp_path).versions(RIG) == [f"{RIG}-v0"]
