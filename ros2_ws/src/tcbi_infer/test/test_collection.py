@@ -46,7 +46,7 @@ def test_a_slope_beyond_the_contract_is_refused():
 def test_ids_differ_and_sort_by_time():
     request = Request("balance", 2, seed=1)
     ids = [rollout_id(request, 0, 0.0), rollout_id(request, 1, 0.0), rollout_id(request, 0, 1.0)]
-    assert ids == sorted(set(ids)) and ids[0] == "balance-19700101-000000-s1-000"
+    assert ids == sorted(set(ids)) and ids[0] == "balance-19700101-000000-000-s1-000"
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])

@@ -1,16 +1,18 @@
 """The demo's robot: an emulated one behind a serial port, driven and recorded by the same nodes as a real one."""
 
 import contextlib
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from tcbi_bringup.demo.lab_node import LabNode, laboratory
-from tcbi_bringup.domain_lock import DOMAINS, hold_domain
+from tcbi_bringup.domain_lock import hold_domain
 from tcbi_bringup.errors import DemoError, SecondGraphError
 from tcbi_bringup.launcher import Graph, NodeProcess
 
 FIRST_POLICY = "balance"
+DOMAINS = range(60, 100)  # beyond 101 the ports of a domain may be taken by the system
 
 
 @dataclass(frozen=True)
@@ -33,9 +35,16 @@ class Robot:
         return ("--seed", str(self.seed), "--strength", self.strength, *chosen)
 
 
-def processes(robot: Robot, folder: Path, store: Path) -> list[NodeProcess]:
-    """The nodes of the demo: what a real robot would run, and the emulated robot behind the port."""
-    port, socket = folder / "robot.port", folder / "lab.sock"
+def processes(robot: Robot, folder: Path, store: Path, lab: Path) -> list[NodeProcess]:
+    """The nodes of the demo: what a real robot would run, and the emulated robot behind the port.
+
+    Args:
+      robot: which.
+      folder: of the rollouts.
+      store: of models and policies.
+      lab: a short path, for the port and the experimenter's socket (a socket's path has 107 bytes at most).
+    """
+    port, socket = lab / "robot.port", lab / "lab.sock"
     emulated = ("--link-path", str(port), "--socket", str(socket), *robot.arguments())
     return [
         NodeProcess("tcbi_bringup", "emulated_robot", arguments=emulated, ros=False, essential=True),
@@ -55,7 +64,8 @@ def running(robot: Robot, folder: Path, store: Path) -> Iterator[tuple[LabNode, 
       LaunchError: a process failed, with the last lines of its log.
     """
     with _free_domain() as domain_id, contextlib.ExitStack() as stack:
-        graph = Graph(processes(robot, folder, store), domain_id=domain_id, log_dir=folder / "log", restart=True)
+        short = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tcbi-lab-")))
+        graph = Graph(processes(robot, folder, store, short), domain_id=domain_id, log_dir=folder / "log", restart=True)
         stack.enter_context(graph)
         lab = stack.enter_context(laboratory(domain_id))
         lab.wait(graph.check)
@@ -64,7 +74,7 @@ def running(robot: Robot, folder: Path, store: Path) -> Iterator[tuple[LabNode, 
 
 @contextlib.contextmanager
 def _free_domain() -> Iterator[int]:
-    for domain_id in DOMAINS[100:]:
+    for domain_id in DOMAINS:
         with contextlib.ExitStack() as stack:
             try:
                 stack.enter_context(hold_domain(domain_id))
@@ -72,4 +82,4 @@ def _free_domain() -> Iterator[int]:
                 continue
             yield domain_id
             return
-    raise DemoError(f"no ROS domain from {DOMAINS[100]} to {DOMAINS[-1]} is free; stop some graphs")
+    raise DemoError(f"no ROS domain from {DOMAINS[0]} to {DOMAINS[-1]} is free; stop some graphs")

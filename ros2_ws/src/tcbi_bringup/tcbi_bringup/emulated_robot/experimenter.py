@@ -14,6 +14,7 @@ import os
 import socket
 import socketserver
 import stat
+import tempfile
 import threading
 from pathlib import Path
 from types import TracebackType
@@ -32,7 +33,7 @@ TIMEOUT_S = 5.0
 
 def default_socket_path() -> Path:
     """Where the emulated robot's socket lies unless it is told otherwise: one a user and ROS domain."""
-    folder = Path(os.environ.get("XDG_RUNTIME_DIR") or "/tmp")
+    folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
     return folder / f"tcbi-emulated-robot-{os.getuid()}-{os.environ.get('ROS_DOMAIN_ID', '0')}.sock"
 
 
