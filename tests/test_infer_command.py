@@ -46,7 +46,7 @@ def test_json_has_the_contracts_keys_and_nothing_else_is_on_standard_output(bags
 
 
 def test_the_table_says_of_each_parameter_whether_the_data_tell(bags, tmp_path, capsys) -> None:
-    assert infer(bags, tmp_path, "--method", "paper") == 0
+    assert infer(bags, tmp_path, "--method", "paper", "--statistics", "joint_tracking") == 0
     text = capsys.readouterr().out
     assert all(name in text for name in ("gain", "damping", "friction", "do the data tell?"))
     assert "narrows with every generation" in text
