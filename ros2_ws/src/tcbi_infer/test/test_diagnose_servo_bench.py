@@ -63,7 +63,7 @@ def test_a_diagnosis_of_another_model_is_refused(late):
 def test_nothing_is_missing_where_nothing_is_hidden():
     diagnosis = diagnose(base_model("servo_bench"), record(base_model("servo_bench"), BASE), uses=CANDIDATES)
     assert (diagnosis.verdict, diagnosis.effects) == ("nothing_missing", ())
-    assert diagnosis.errors["base"] < 1.3
+    assert diagnosis.errors["base"] < 1.6  # 1.5 at the truth: steps of 2 ms against the recording's 1 ms
 
 
 def test_twins_that_only_body_sensors_could_tell_apart_are_not_told_apart():

@@ -146,7 +146,7 @@ class _Run:
         self.progress("fitting the base model", 0.12)
         nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
         again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
-        return again.run(first.unit[None], steps=(0.06, 0.04, 0.02)), nuisance
+        return again.run(first.unit[None], steps=(0.06, 0.04, 0.03, 0.02, 0.02)), nuisance
 
     def _full(self, residual: np.ndarray) -> np.ndarray:
         full = np.zeros_like(self.problem.observed)
@@ -155,7 +155,7 @@ class _Run:
 
     def _refit(self, fit: Fit, nuisance: Nuisance) -> Fit:
         fine = Fitter(self.problem, fit.model, nuisance, self.sets, self.settings.timestep)
-        return fine.run(fit.unit[None], fit.nuisance, steps=(0.02, 0.01))
+        return fine.run(fit.unit[None], fit.nuisance, steps=(0.02, 0.01, 0.01, 0.01))
 
     def _screened(self) -> Callable[[str], None]:
         count = itertools.count(1)
@@ -181,7 +181,7 @@ class _Run:
             model = screen.directions.models[u]
             self.progress(f"fitting {screen.directions.uses[u]}", 0.55 + 0.3 * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
-            rough = fitter.run(screen.start(data, u, coarse), coarse.nuisance, steps=(0.08, 0.05, 0.03))
+            rough = fitter.run(screen.start(data, u, coarse), coarse.nuisance, steps=(0.08, 0.05, 0.03, 0.03, 0.02))
             fits[u] = rough, self._refit(rough, nuisance)
         return fits
 

@@ -16,8 +16,10 @@ from tcbi_sim.model import Model
 STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
 STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
 FINALISTS = 3  # of many starts
-SMALL_STEP = 0.02  # of a range: the last step of a converged fit
+SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
+SMALL_SHARE = 0.003  # of the loss
+FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,9 +167,9 @@ class Fitter:
                 unit, predicted = trials[best], trial_predicted[best]
                 residual = self.residual(predicted, delta)
                 scale = self.scales(residual)
-            gain = before - best_total
-            converged = best < 0 or moved < SMALL_STEP or gain < SMALL_GAIN
-            if converged and step == min(steps):
+            small = max(SMALL_GAIN, SMALL_SHARE * abs(before))
+            converged = best < 0 or moved < SMALL_STEP or before - best_total < small
+            if converged and step <= FINE_STEP:
                 break
         return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
 

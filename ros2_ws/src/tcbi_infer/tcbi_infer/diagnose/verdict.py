@@ -10,7 +10,7 @@ from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Evidence
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
-WELL_PREDICTED = 1.6  # times the noise floor: a model this good leaves no room for "something else is missing"
+WELL_PREDICTED = 6.0  # times the noise floor: what one contact simulation leaves against another at the true parameters
 EXPLAINED = 0.4  # of the excess error: an effect that explains less leaves "something else is missing" open
 
 
