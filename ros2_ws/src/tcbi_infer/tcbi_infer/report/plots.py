@@ -14,7 +14,7 @@ from matplotlib.figure import Figure as Canvas
 
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#8c949e"  # Okabe and Ito
 INK = "#010203"  # replaced by the page's text colour
-WIDTH = 4.4  # inch; one column on a phone
+WIDTH, WIDE = 4.4, 5.4  # inch; one column on a phone
 STYLE: Any = {
     "svg.fonttype": "none",
     "font.family": "sans-serif",
@@ -55,7 +55,7 @@ def ladder(errors: Sequence[tuple[str, float]]) -> str:
     with matplotlib.rc_context(STYLE):
         labels = ["the robot against itself", *[label for label, _ in errors]]
         values = np.array([1.0, *[value for _, value in errors]])
-        figure, axes = canvas(0.55 + 0.36 * len(values), 6.4)
+        figure, axes = canvas(0.55 + 0.36 * len(values), WIDE)
         colors = [GREY, *([BLUE] * (len(values) - 1))]
         axes.barh(np.arange(len(values)), values, color=colors, height=0.62)
         for y, value in enumerate(values):
@@ -98,7 +98,7 @@ def bars(
 ) -> str:
     """Horizontal bars with standard errors, those chosen in colour."""
     with matplotlib.rc_context(STYLE):
-        figure, axes = canvas(0.6 + 0.3 * len(labels), 6.4)
+        figure, axes = canvas(0.6 + 0.3 * len(labels), WIDE)
         rows = np.arange(len(labels))
         axes.barh(rows, values, xerr=errors, color=[BLUE if c else GREY for c in chosen], height=0.62,
                   error_kw={"ecolor": INK, "elinewidth": 1.0, "capsize": 2})  # fmt: skip
@@ -113,7 +113,7 @@ def bars(
 def signal_bars(labels: Sequence[str], ratios: Sequence[float]) -> str:
     """Error over noise floor of every signal, the floor as a line."""
     with matplotlib.rc_context(STYLE):
-        figure, axes = canvas(0.6 + 0.2 * len(labels), 6.4)
+        figure, axes = canvas(0.6 + 0.2 * len(labels), WIDE)
         rows = np.arange(len(labels))
         axes.barh(rows, ratios, color=BLUE, height=0.66)
         axes.axvline(1.0, color=ORANGE, lw=1.2, ls="--")
@@ -145,7 +145,7 @@ def interval(
 def history(labels: Sequence[str], errors: Sequence[float]) -> str:
     """The error of each model version, with the noise floor as a line."""
     with matplotlib.rc_context(STYLE):
-        figure, axes = canvas(2.8, 6.4)
+        figure, axes = canvas(2.8, WIDE)
         axes.plot(np.arange(len(labels)), errors, "o-", color=BLUE)
         axes.axhline(1.0, color=ORANGE, ls="--", lw=1.2)
         axes.text(0, 1.0, "noise floor", color=ORANGE, va="bottom", fontsize=9)
