@@ -1,0 +1,49 @@
+"""Writes docs/parameters.md from the nodes' own parameter classes: `./tcbi python docs/write_parameters.py`."""
+
+from pathlib import Path
+
+from hexapod_driver.driver_node import DriverParameters
+from tcbi_bringup.emulated_robot.experimenter_node import Parameters as ExperimenterParameters
+from tcbi_contract.parameters import parameter_table
+from tcbi_infer.inference_node import InferenceParameters
+from tcbi_infer.recorder_node import RecorderParameters
+from tcbi_infer.replay_node import ReplayParameters
+from tcbi_policy.policy_node import PolicyParameters
+from tcbi_policy.retrain_node import RetrainParameters
+from tcbi_sim.description_node import DescriptionParameters
+from tcbi_sim.sim_node import SimParameters
+
+NODES = {
+    "tcbi_sim sim_node": (SimParameters, "the robot in simulation"),
+    "tcbi_sim description_node": (DescriptionParameters, "the robot's description, latched"),
+    "hexapod_driver driver_node": (DriverParameters, "the robot on a serial port"),
+    "tcbi_policy policy_node": (PolicyParameters, "the policy at 5 Hz"),
+    "tcbi_policy retrain_node": (RetrainParameters, "the action `retrain`"),
+    "tcbi_infer recorder_node": (RecorderParameters, "bags, and the action `collect_rollouts`"),
+    "tcbi_infer replay_node": (ReplayParameters, "bags back into the graph"),
+    "tcbi_infer inference_node": (InferenceParameters, "posterior, model error, diagnosis"),
+    "tcbi_bringup experimenter_node": (ExperimenterParameters, "the hands and the tracker beside an emulated robot"),
+}
+HEAD = """# Parameters of the nodes
+
+All are read at the start and refused there in one line if unknown or out of range (exit status 1). Set one with
+`./tcbi run PACKAGE NODE --ros-args -p name:=value`, or with `ros2 run`. Besides these every node takes `use_sim_time`.
+This page is written by `docs/write_parameters.py`; a test holds it to the code.
+"""
+
+
+def text() -> str:
+    """The page."""
+    parts = [HEAD]
+    for node, (parameters, what) in NODES.items():
+        rows = [
+            f"| `{name}` | `{default}` | {allowed} | {told} |"
+            for name, default, allowed, told in parameter_table(parameters)
+        ]
+        table = ["| parameter | default | allowed | what |", "| --- | --- | --- | --- |", *rows] if rows else ["None."]
+        parts.append("\n".join([f"## `{node}`: {what}", "", *table, ""]))
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("parameters.md").write_text(text())
