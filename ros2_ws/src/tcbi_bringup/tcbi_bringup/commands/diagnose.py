@@ -1,6 +1,7 @@
 """`./tcbi diagnose`: which physical effect a model lacks, with its size, its error bars and an honest verdict."""
 
 import argparse
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.diagnose import diagnose
     from tcbi_infer.diagnose.adopt import remember
-    from tcbi_infer.diagnose.diagnosis import Settings
+    from tcbi_infer.diagnose.diagnosis import QUICK, Settings
     from tcbi_infer.report import Report, add_diagnosis
     from tcbi_sim.effects import candidates
     from tcbi_sim.rig import load_rig
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             model,
             measurements,
             uses=uses,
-            settings=Settings(refine=args.refine, seed=args.seed),
+            settings=dataclasses.replace(QUICK if args.quick else Settings(refine=args.refine), seed=args.seed),
             progress=lambda stage, share: advance(done=round(100 * share), note=stage),
         )
     saved = remember(diagnosis, store.folder("runs"))
