@@ -23,8 +23,8 @@ from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
-from tcbi_infer.messages import diagnosis_message, model_error_message, number, posterior_message
 from tcbi_infer.inference_worker import DIAGNOSE, INFER, Job
+from tcbi_infer.messages import diagnosis_message, model_error_message, number, posterior_message
 from tcbi_infer.rollout_folder import RolloutFolder
 from tcbi_infer.worker_process import Worker
 from tcbi_msgs.action import Diagnose, Retrain
