@@ -14,6 +14,7 @@ class Plan:
       deployments: rollouts of the task with the first policy, and again with the new one.
       deployment_s: length of each, s; 0 for the task's own.
       effects: candidates; empty for the whole library.
+      thorough: whether the diagnosis takes its time.
       particles: of the inference.
       generations: of the inference, at most.
       training_s: wall time of the retraining.
@@ -25,6 +26,7 @@ class Plan:
     deployments: int
     deployment_s: float
     effects: tuple[str, ...]
+    thorough: bool
     particles: int
     generations: int
     training_s: float
@@ -47,6 +49,7 @@ FULL = Plan(
     deployments=4,
     deployment_s=0.0,
     effects=(),
+    thorough=True,
     particles=48,
     generations=4,
     training_s=75.0,
@@ -58,6 +61,7 @@ QUICK = Plan(
     deployments=2,
     deployment_s=4.0,
     effects=BASIC_EFFECTS,
+    thorough=False,
     particles=16,
     generations=2,
     training_s=10.0,

@@ -17,7 +17,7 @@ from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
 from tcbi_infer.diagnose.adopt import adopt
-from tcbi_infer.diagnose.diagnosis import diagnose
+from tcbi_infer.diagnose.diagnosis import QUICK, Settings, diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
 from tcbi_infer.posterior import updated
 from tcbi_infer.tcbi.driver import infer
@@ -30,6 +30,7 @@ from tcbi_sim.store import ModelStore
 
 TASK = "balance"
 MOST_EFFECTS = 2  # added one after another
+PARTICLES = 12  # of the predictive bands
 SLOPE = 0.12  # rad, of the ground under the recorded motions
 
 
@@ -103,7 +104,7 @@ class Story:
         """The base model against the measurements."""
         model = self.out.store.load("hexapod-v0")
         self.out.models = [model]
-        found = self.out.comparison = compare(model, self.out.motions)
+        found = self.out.comparison = compare(model, self.out.motions, particles=PARTICLES)
         worst = max(found.signals, key=lambda s: s.ratio)
         self.say(
             f"{model.version} misses by {found.error_over_floor:.1f} times what the robot differs from itself; "
@@ -174,7 +175,7 @@ class Story:
         self.say(f"{change}, final inclination {tilt(out.before):.1f} -> {tilt(out.after):.1f} deg on the robot")
         out.unseen = self._motions(self.plan.unseen, "unseen", 100)
         for model in out.models:
-            out.errors[model.version] = compare(model, out.unseen)
+            out.errors[model.version] = compare(model, out.unseen, particles=PARTICLES)
         ladder = ", ".join(f"{v} {c.error_over_floor:.1f}" for v, c in out.errors.items())
         self.say(f"error over the noise floor on motions that no fit has seen: {ladder}")
 
@@ -211,9 +212,14 @@ class Story:
 
     def _diagnose(self, model: Model) -> Diagnosis:
         uses = [u for u in self.plan.effects if u not in model.effects] or None
+        settings = Settings() if self.plan.thorough else QUICK
         with console.progress("diagnosing", total=1.0) as advance:
             diagnosis = diagnose(
-                model, self.out.motions, uses=uses, progress=lambda stage, share: advance(done=share, note=stage)
+                model,
+                self.out.motions,
+                uses=uses,
+                settings=settings,
+                progress=lambda stage, share: advance(done=share, note=stage),
             )
         self.out.diagnoses.append(diagnosis)
         self.say(diagnosis.statement)

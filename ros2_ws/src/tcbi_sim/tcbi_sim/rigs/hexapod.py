@@ -202,7 +202,7 @@ def _add_leg(spec: mujoco.MjSpec, trunk: mujoco.MjsBody, leg: str) -> None:
     d = dimensions()
     hip, size = d["hips"][leg], d["leg"]
     turn = hip["direction"]
-    # x of a leg's frames points outward; swinging forward turns left legs clockwise seen from above, right ones the other way
+    # x of a leg's frames points outward; forward is clockwise from above for a left leg, the other way for a right one
     forward = -1.0 if leg.startswith("l") else 1.0
     coxa = trunk.add_body(name=f"{leg}_coxa", pos=hip["position"], quat=[math.cos(turn / 2), 0, 0, math.sin(turn / 2)])
     _add_hinge(spec, coxa, f"{leg}_coxa", [0, 0, forward])
