@@ -295,7 +295,7 @@ class _Run:
         judged = []
         for e in evidence:
             accepted, reason = accept(e, null.threshold)
-            judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, confused_with=alike.get(e.use, ())))
+            judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
         ranking = _mark_rivals(judged)
         ruling = rule(ranking, base_error, 0.0, kinds)
         unseen = self._unseen_error(base, before)
@@ -396,7 +396,7 @@ def _mark_rivals(ranking: list[Evidence]) -> list[Evidence]:
     marked = []
     for e in ranking:
         near = {r.use for r in rivals(e, [o for o in accepted if o is not e])} if e.accepted else set()
-        marked.append(dataclasses.replace(e, confused_with=tuple(sorted(near | set(e.confused_with)))))
+        marked.append(dataclasses.replace(e, confused_with=tuple(sorted(near | set(e.alike)))))
     return sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
 
 

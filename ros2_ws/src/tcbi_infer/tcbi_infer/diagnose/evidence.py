@@ -38,7 +38,8 @@ class Evidence:
       error_before: error over noise floor on rollouts that no fit saw, base model refitted.
       error_after: the same with the effect.
       refined: fitted by simulation; else only screened, and the figures are a linear estimate.
-      confused_with: uses that explain these rollouts about as well.
+      alike: uses that change the signals in nearly the same way.
+      confused_with: those, and uses that explain these rollouts about as well.
       values: (P,) parameters of the whole model with the effect, physical; empty where not refined.
       spread: (P, P) their covariance in unit space.
     """
@@ -56,6 +57,7 @@ class Evidence:
     accepted: bool = False
     reason: str = ""
     confused_with: tuple[str, ...] = ()
+    alike: tuple[str, ...] = ()
     gains: tuple[float, ...] = ()
     names: tuple[str, ...] = ()
     values: tuple[float, ...] = ()

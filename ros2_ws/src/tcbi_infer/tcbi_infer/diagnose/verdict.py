@@ -11,7 +11,7 @@ from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, O
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
 WELL_PREDICTED = 6.0  # times the noise floor: what one contact simulation leaves against another at the true parameters
-EXPLAINED = 0.4  # of the excess error: an effect that explains less leaves "something else is missing" open
+EXPLAINED = 0.2  # of the excess error: an effect that explains less leaves "something else is missing" open
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +57,11 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
     return result
 
 
+def _richer_twin(best: Evidence, other: Evidence) -> bool:
+    """Whether `other` has more parameters, looks the same and predicts no better: no rival of the plainer law."""
+    return other.use in best.alike and len(other.parameters) > len(best.parameters)
+
+
 def rule(ranking: Sequence[Evidence], base_error: float, unexplained_limit: float, kinds: int) -> Ruling:
     """The verdict.
 
@@ -72,16 +77,16 @@ def rule(ranking: Sequence[Evidence], base_error: float, unexplained_limit: floa
         return _none_accepted(ranking, base_error, limit, kinds)
     best = accepted[0]
     left = best.error_after
-    explained = (base_error - left) / max(base_error - 1.0, 1e-6)
+    explained = (best.error_before - left) / max(best.error_before - 1.0, 1e-6)
     if left > limit and explained < EXPLAINED:
         return Ruling(
             OUTSIDE_LIBRARY,
             (),
             "Something is missing that the library does not hold: the base model errs by "
-            f"{base_error:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
+            f"{best.error_before:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
-    equal = rivals(best, accepted[1:])
+    equal = [r for r in rivals(best, accepted[1:]) if not _richer_twin(best, r)]
     caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])
