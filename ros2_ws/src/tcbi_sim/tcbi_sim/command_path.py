@@ -36,10 +36,10 @@ class CommandPath:
     def give(self, time: float, target: np.ndarray, ramp: float) -> None:
         """Send `target` (B, J) at `time`; a row of NaN is no command for that simulation."""
         f = self.fields
+        lost = np.isnan(target).any(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             target = np.where(f.quantum > 0, np.round(target / f.quantum) * f.quantum, target)
         target = np.where(np.abs(target - self._accepted) > f.deadband, target, self._accepted)
-        lost = np.isnan(target).any(axis=1)
         for i in np.flatnonzero(f.loss > 0):
             lost[i] |= self._rngs[i].random() < f.loss[i]
         self._accepted = np.where(lost[:, None], self._accepted, target)

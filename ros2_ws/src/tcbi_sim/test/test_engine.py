@@ -45,6 +45,16 @@ def test_replaying_its_own_commands_repeats_a_closed_loop_bit_for_bit():
     np.testing.assert_array_equal(closed.joint_position, replayed.joint_position)
 
 
+def test_a_rollout_does_not_depend_on_when_others_are_commanded():
+    model = base_model("hexapod")
+    values = np.array([[0.75, 0.8, 2.5]])
+    later = Commands(COMMANDS[1].time + 0.07, COMMANDS[1].target)
+    together = simulate(model, values, SHORT[:2], commands=[COMMANDS[0], later], timestep=0.01)
+    for s, commands in enumerate([COMMANDS[0], later]):
+        alone = simulate(model, values, SHORT[s : s + 1], commands=[commands], timestep=0.01)
+        np.testing.assert_array_equal(together.joint_position[0, s], alone.joint_position[0, 0])
+
+
 def test_the_batch_agrees_with_a_plain_loop_over_mj_step():
     model = base_model("servo_bench")
     values = np.array([[4e-3, 0.03, 0.02]])
