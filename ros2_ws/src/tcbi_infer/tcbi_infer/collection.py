@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tcbi_contract.names import SLOPE_LIMIT
+from tcbi_contract.names import CONTROL_PERIOD_S, SLOPE_LIMIT
 from tcbi_infer.errors import RecordingError
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.tasks import TASKS, find_task
 
+PERIOD_NS = round(CONTROL_PERIOD_S * 1e9)
 MOST_ROLLOUTS = 10_000
 LONGEST_S = 3600.0
 
@@ -77,6 +78,11 @@ def rollout_id(request: Request, index: int, now: float | None = None) -> str:
     second, fraction = divmod(time.time() if now is None else now, 1.0)
     day = time.strftime("%Y%m%d-%H%M%S", time.gmtime(second))
     return f"{request.task}-{day}-{int(1000 * fraction):03d}-s{request.seed}-{index:03d}"
+
+
+def next_tick(nanoseconds: int) -> int:
+    """The next multiple of the control period: the policy's ticks lie there."""
+    return -(-nanoseconds // PERIOD_NS) * PERIOD_NS
 
 
 def travelled(start: Sequence[float], end: Sequence[float], orientation: Sequence[float]) -> float:

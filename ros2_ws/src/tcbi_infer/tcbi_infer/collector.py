@@ -18,7 +18,7 @@ from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
 from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.bags.note import write_note
-from tcbi_infer.collection import Request, check, rollout_id, scenario_of, travelled
+from tcbi_infer.collection import Request, check, next_tick, rollout_id, scenario_of, travelled
 from tcbi_infer.errors import RecordingError
 from tcbi_infer.names import PLACE_ROBOT
 from tcbi_msgs.action import CollectRollouts
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 NO_POLICY = "none"
 CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more means that they are different clocks
+LEAD_NS = 300_000_000  # from the publication of BEGIN to its stamp, where time runs by itself
 FEEDBACK_S = 0.5  # wall time
 HANDS_S = 2.0  # to discover whether somebody places the robot
 RESETS, PAUSE_S = 4, 1.5  # a real robot may be connecting still, or have missed a reply: tried so often, so far apart
@@ -128,7 +129,7 @@ class Collector:
         scenario = scenario_of(request, index)
         self._refuse_if_cancelled(goal)
         reset = await self._reset_episode(scenario, request.model)
-        begin = self._zero(reset.stamp)
+        begin = self._begin(reset.stamp)
         event = _event(rollout_id(request, index), scenario, policy_id, reset.source, begin)
         self._rollout_id = event.rollout_id
         end = begin + round(scenario.duration * 1e9)
@@ -253,6 +254,8 @@ class Collector:
                 return await self._placed(_succeeded(response, names.RESET_EPISODE), request)
             self.node.get_logger().warning(f"the robot is not ready ({response.message}); it is tried again")
             await Until(lambda: False, PAUSE_S)
+            if self._place.service_is_ready():  # hands that lift the robot free its legs
+                await self._placed(response, request)
         response = await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
         return await self._placed(response, request)
 
@@ -303,6 +306,17 @@ class Collector:
                 f"the robot's clock and the recorder's are {apart:.0f} s apart; start both with the same use_sim_time"
             )
         return int(told)
+
+    def _begin(self, stamp: Any) -> int:
+        """When the rollout begins (ns).
+
+        A simulation's clock stands at the reset. A robot's does not: there the rollout begins at a control tick a moment
+        ahead, which leaves time to switch the policy on, so that every repeat has its commands at the same times.
+        """
+        zero = self._zero(stamp)
+        if self.node.simulated_time:
+            return zero
+        return next_tick(max(zero, self.node.get_clock().now().nanoseconds + LEAD_NS))
 
 
 def _succeeded(response: Any, what: str) -> Any:

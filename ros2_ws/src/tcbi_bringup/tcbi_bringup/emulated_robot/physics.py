@@ -128,10 +128,12 @@ class Physics:
 
         Args:
           scene: ground and heading.
-          joint_position: (18,) rad that the servos then hold; None leaves the joints and the servos as they are.
+          joint_position: (18,) rad that the servos then hold; None leaves the servos as they are. While the robot is in
+            the hands its legs hang free, so that servos under torque bring their joints to where they were told.
         """
         if joint_position is None:
-            angles, shaft = self._angles.copy(), self.shaft.copy()
+            free = self.servos.on > 0
+            angles, shaft = (np.where(free, self.servos.goal, now) for now in (self._angles, self.shaft))
         else:
             angles = shaft = np.array(joint_position, float)
         self._build_on(scene, Circumstances.draw(self._hands))

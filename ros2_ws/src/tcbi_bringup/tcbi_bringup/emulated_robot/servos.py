@@ -60,6 +60,11 @@ class Servos:
             move = Move(self._pending[-1].due, move.index, move.goal, move.duration, move.speed)
         self._pending.append(move)
 
+    @property
+    def goal(self) -> np.ndarray:
+        """(J,) rad, where the present moves end."""
+        return self._goal
+
     def switch(self, index: int, on: bool, position: float) -> None:
         """Torque of one servo; when it comes on, the servo holds `position` (rad), where its encoder stands."""
         if on and not self.on[index]:
