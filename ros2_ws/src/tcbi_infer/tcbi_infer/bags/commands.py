@@ -8,6 +8,8 @@ from tcbi_contract.names import JOINT_COMMANDS
 from tcbi_infer.bags.streams import Record, Recording, ordered
 from tcbi_sim.measurement import Commands
 
+MOST_DELAY_NS = 100_000_000
+
 Row = tuple[int, np.ndarray, float, bool]  # stamp (ns), targets, ramp (s), torque on
 
 
@@ -33,9 +35,22 @@ def read_commands(
         notes.append(f"no {JOINT_COMMANDS}: nothing can be simulated again with the same commands")
         return Commands(np.empty(0), np.empty((0, len(joint_names))))
     stamp = np.array([row[0] for row in rows], np.int64)
+    delay = sending_delay(recording.records[JOINT_COMMANDS])
     order = ordered(JOINT_COMMANDS, stamp, notes)
     inside = (stamp[order] >= begin) & ((stamp[order] < end) if end is not None else True)
-    return _commands([rows[i] for i in order[inside]], len(joint_names), begin, notes)
+    return _commands([rows[i] for i in order[inside]], len(joint_names), begin - delay, notes)
+
+
+def sending_delay(records: list[Record]) -> int:
+    """How long after their stamps commands were sent (ns): the median delay of their arrival at the recorder.
+
+    A command bears the stamp of its control tick. The policy sends it when the sensors of that tick have arrived, some ten
+    milliseconds later in real time; taken for the robot's, that time would look like a latency. Recordings of simulated
+    time have none, and where the recorder's clock is another one than the stamps' nothing is corrected.
+    """
+    delays = np.array([record.log_time - record.stamp for record in records])
+    median = int(np.median(delays))
+    return median if 0 < median < MOST_DELAY_NS else 0
 
 
 def _rows(record: Record, joint_names: tuple[str, ...], last: np.ndarray | None) -> list[Row] | None:
