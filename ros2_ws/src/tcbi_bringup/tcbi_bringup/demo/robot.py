@@ -48,8 +48,12 @@ def processes(robot: Robot, folder: Path, store: Path, lab: Path) -> list[NodePr
     emulated = ("--link-path", str(port), "--socket", str(socket), *robot.arguments())
     return [
         NodeProcess("tcbi_bringup", "emulated_robot", arguments=emulated, ros=False, essential=True),
-        NodeProcess("hexapod_driver", "driver_node", parameters={"port": str(port)}, essential=True),
-        NodeProcess("tcbi_bringup", "experimenter_node", parameters={"socket": str(socket), "seed": robot.seed}),
+        NodeProcess(
+            "hexapod_driver", "driver_node", parameters={"port": str(port), "approach_speed": 2.0}, essential=True
+        ),
+        NodeProcess(
+            "tcbi_bringup", "experimenter_node", parameters={"socket": str(socket), "seed": robot.seed, "settle_s": 0.5}
+        ),
         NodeProcess("tcbi_policy", "policy_node", parameters={"policy": "gait:stand", "store": str(store)}),
         NodeProcess("tcbi_infer", "recorder_node", parameters={"folder": str(folder / "rollouts")}),
         NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(store)}),

@@ -25,6 +25,7 @@ from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.screen import Directions, Screen, paired_statistic, simulate_directions
+from tcbi_infer.diagnose.starts import start_points
 from tcbi_infer.diagnose.verdict import accept, rivals, rule
 from tcbi_sim.effects import candidates
 from tcbi_sim.measurement import Measurement
@@ -160,8 +161,9 @@ class _Run:
         return full
 
     def _refit(self, fit: Fit, nuisance: Nuisance) -> Fit:
-        fine = Fitter(self.problem, fit.model, nuisance, self.sets, self.settings.timestep)
-        return fine.run(fit.unit[None], fit.nuisance, steps=(0.02, 0.01, 0.01, 0.01))
+        if self.settings.timestep >= self.settings.coarse:
+            return fit
+        return Fitter(self.problem, fit.model, nuisance, self.sets, self.settings.timestep).polish(fit)
 
     def _screened(self) -> Callable[[str], None]:
         count = itertools.count(1)
@@ -187,7 +189,7 @@ class _Run:
             model = screen.directions.models[u]
             self.progress(f"fitting {screen.directions.uses[u]}", 0.55 + 0.3 * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
-            rough = fitter.run(screen.start(data, u, coarse), coarse.nuisance, steps=(0.08, 0.05, 0.03, 0.03, 0.02))
+            rough = fitter.run(start_points(screen, data, u, coarse), coarse.nuisance, steps=(0.08, 0.05, 0.03, 0.03, 0.02))
             fits[u] = rough, self._refit(rough, nuisance)
         return fits
 

@@ -16,9 +16,11 @@ from tcbi_sim.model import Model
 STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
 STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
 FINALISTS = 3  # of many starts
+FEW_SETS = 2  # that choose them
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
+POLISH = (0.02, 0.02)  # two iterations; with known slopes their sizes say only that they may end the fit
 FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
 
 
@@ -117,8 +119,9 @@ class Fitter:
 
         Of many starts only a few go on to all sets; a few sets tell which.
         """
-        if len(starts) > 2 * FINALISTS and len(self.sets) > FINALISTS:
-            few = Fitter(self.problem, self.model, self.nuisance, self.sets[:FINALISTS], self.timestep)
+        if len(starts) > 2 * FINALISTS and len(self.sets) > FEW_SETS:
+            spread = self.sets[np.linspace(0, len(self.sets) - 1, FEW_SETS).astype(int)]
+            few = Fitter(self.problem, self.model, self.nuisance, spread, self.timestep)
             totals = few.start_losses(few.predict(starts), nuisance)
             starts = np.asarray(starts)[np.argsort(totals)[:FINALISTS]]
         predicted = self.predict(starts)
@@ -141,8 +144,18 @@ class Fitter:
         starts: np.ndarray,
         nuisance: np.ndarray | None = None,
         steps: Sequence[float] = STEPS,
+        stretch: Sequence[float] = STRETCH,
+        known: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> Fit:
-        """Fits from the best of (N, P) starting points, until it converges or the steps are used up."""
+        """Fits from the best of (N, P) starting points, until it converges or the steps are used up.
+
+        Args:
+          starts: (N, P) in [0, 1].
+          nuisance: (Q,) to start from.
+          steps: of the finite differences, one for each iteration.
+          stretch: multiples of each step that are tried together.
+          known: slopes and bends from elsewhere, which then serve for all iterations.
+        """
         delta = np.zeros(self.nuisance.effect.shape[-1]) if nuisance is None else nuisance.copy()
         unit, predicted = self.best_start(np.atleast_2d(starts), delta)
         residual = self.residual(predicted, delta)
@@ -150,19 +163,19 @@ class Fitter:
         converged = False
         jacobian, bend = np.zeros((*residual.shape, len(unit))), np.zeros_like(residual)
         for step in steps:
-            jacobian, bend = self.slopes(unit, predicted, step)
+            jacobian, bend = known or self.slopes(unit, predicted, step)
             before = self._total(residual, delta, scale)
             move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
-            trials = np.clip(unit + np.array(STRETCH)[:, None] * move, 0.0, 1.0)
+            trials = np.clip(unit + np.array(stretch)[:, None] * move, 0.0, 1.0)
             trial_predicted = self.predict(trials)
             best, best_total = -1, before
-            for i, share in enumerate(STRETCH):
+            for i, share in enumerate(stretch):
                 trial_residual = self.residual(trial_predicted[i], delta + share * move_delta)
                 total = self._total(trial_residual, delta + share * move_delta, scale)
                 if total < best_total:
                     best, best_total = i, total
             if best >= 0:
-                delta = delta + STRETCH[best] * move_delta
+                delta = delta + stretch[best] * move_delta
                 moved = float(np.max(np.abs(trials[best] - unit)))
                 unit, predicted = trials[best], trial_predicted[best]
                 residual = self.residual(predicted, delta)
@@ -172,6 +185,11 @@ class Fitter:
             if converged and step <= FINE_STEP:
                 break
         return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
+
+    def polish(self, fit: Fit) -> Fit:
+        """A fit at another time step carried on at this one, with its slopes, which hardly depend on the step."""
+        fine = self.run(fit.unit[None], fit.nuisance, POLISH, (1.0, 0.5), known=(fit.jacobian, fit.bend))
+        return dataclasses.replace(fine, converged=fit.converged)
 
     def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
         return float(self.problem.loss(residual, scale, self.sets).sum() + 0.5 * delta @ delta)

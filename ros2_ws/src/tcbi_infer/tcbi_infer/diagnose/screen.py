@@ -261,6 +261,18 @@ class Screen:
             starts.append(np.concatenate([unit, own]))
         return np.array(starts)
 
+    def sized(self, targets: Targets, use: int, sizes: Sequence[float], count: int) -> np.ndarray:
+        """(n, q) an effect's own parameters at some sizes (of its range) along its best directions."""
+        alpha, score, _, _ = self.solve(targets, np.arange(len(self.sets)))
+        mine = np.nonzero(self.directions.use == use)[0]
+        points = []
+        for k in mine[np.argsort(-score[mine, 0])][:count]:
+            unit = self._sized(use, self.directions.unit[k], 1.0) - self._sized(use, self.directions.unit[k], 0.0)
+            length = max(float(np.max(np.abs(unit))), 1e-6)
+            sign = -1.0 if alpha[k, 0] < 0 else 1.0
+            points += [self._sized(use, self.directions.unit[k], sign * size / length) for size in sizes]
+        return np.unique(np.round(points, 6), axis=0)
+
     def _sized(self, use: int, point: np.ndarray, alpha: float) -> np.ndarray:
         model = self.directions.models[use]
         own = model.parameters[self.base_count :]
