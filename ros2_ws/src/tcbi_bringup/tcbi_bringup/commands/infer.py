@@ -39,6 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="closed: the policy acts on the simulated robot; open: the recorded commands are replayed; "
         "auto (default): closed where the policy can be loaded",
     )
+    parser.add_argument(
+        "--prior",
+        choices=("flat", "model"),
+        default="flat",
+        help="flat (default) within the parameters' bounds; model: go on from what the model version says, with new rollouts",
+    )
     parser.add_argument("--timestep", type=float, help="s, of the simulation (default: 0.01)")
     parser.add_argument("--threads", type=int, default=0, help="0 (default) for all processors")
     parser.add_argument("--seed", type=int, default=0)
@@ -71,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
         statistics=tuple(args.statistics.split(",")) if args.statistics else method.statistics,
         divergence_name=args.divergence,
         loop=args.loop,
+        prior=args.prior,
         policies=store.root,
         timestep=args.timestep,
         threads=args.threads,

@@ -24,7 +24,7 @@ def write(outcome: Outcome, truth: dict[str, object], path: Path) -> Path:
     _in_short(report, outcome, truth)
     add_ladder(
         report,
-        [("noise floor", 1.0), *((label(m), outcome.errors[m.version].error_over_floor) for m in outcome.models)],
+        [(label(m), outcome.errors[m.version].error_over_floor) for m in outcome.models],
     )
     for diagnosis in outcome.diagnoses:
         add_diagnosis(report, diagnosis)

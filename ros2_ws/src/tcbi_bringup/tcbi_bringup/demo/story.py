@@ -132,9 +132,9 @@ class Story:
                 return model
 
     def infer(self, model: Model) -> Model:
-        """TCBI on everything recorded so far."""
+        """TCBI on the task's rollouts, which no fit has seen, from what the diagnosis says on."""
         plan, store = self.plan, self.out.store
-        problem = Problem.of(model, self.out.motions + self.out.before, policies=store.root)
+        problem = Problem.of(model, self.out.before, prior="model", policies=store.root)
         with console.progress("inferring", total=plan.generations) as advance:
             result = infer(
                 problem,

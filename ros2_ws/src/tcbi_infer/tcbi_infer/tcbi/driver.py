@@ -90,6 +90,7 @@ def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
         "closed": problem.closed_loop,
         "timestep": problem.timestep,
         "divergence": problem.divergence_name,
+        "prior": None if problem.prior is None else problem.prior.mean.tolist(),
         "method": method,
         "settings": list(settings),
         "seed": seed,
@@ -165,8 +166,13 @@ class _Loop:
         except SimError as e:
             raise InferError(f"the simulation cannot run these rollouts: {e}") from e
 
+    def _posterior(self) -> tuple[np.ndarray, np.ndarray]:
+        """Particles (M, P) in the parameters' unit cube, and their log-weights (M,)."""
+        cube, log_weights = self.method.posterior(self.state)
+        return self.problem.unit(cube), log_weights
+
     def _record(self) -> None:
-        unit, log_weights = self.method.posterior(self.state)
+        unit, log_weights = self._posterior()
         weights = normalised(log_weights)
         mean, variance = mean_and_variance(self.problem.model.from_unit(unit), weights)
         _, unit_variance = mean_and_variance(unit, weights)
@@ -207,7 +213,7 @@ class _Loop:
     def result(self, seconds: float) -> Result:
         """The outcome, with its warnings."""
         problem, model = self.problem, self.problem.model
-        unit, log_weights = self.method.posterior(self.state)
+        unit, log_weights = self._posterior()
         kept = np.isfinite(log_weights)
         if not kept.any():
             raise InferError("no particle has any weight: every simulation diverged")

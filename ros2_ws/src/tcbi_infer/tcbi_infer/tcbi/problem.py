@@ -15,9 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
+from tcbi_contract.errors import describe
 from tcbi_infer.divergence import BINS, Binning, divergence
+from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, divergences, samples
+from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, used_before
 from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, sample_rate, sensor_noise
 from tcbi_policy.artefact import GAIT_PREFIX, find_policy
 from tcbi_policy.errors import PolicyError
@@ -50,6 +53,7 @@ class Problem:
     threads: int = 0
     divergence_name: str = "js"
     warnings: tuple[str, ...] = field(default_factory=tuple)
+    prior: Prior | None = None  # None: flat
 
     @classmethod
     def of(
@@ -60,6 +64,7 @@ class Problem:
         statistics: tuple[str, ...] = CALIBRATED,
         divergence_name: str = "js",
         loop: str = "auto",
+        prior: str = FLAT,
         policies: Path | None = None,
         timestep: float | None = None,
         threads: int = 0,
@@ -68,11 +73,13 @@ class Problem:
         """Check the rollouts and prepare them.
 
         Args:
-          model: structure and priors; its particles are not used, since data must not count twice.
+          model: structure and parameters.
           measurements: the real rollouts.
           statistics: by name; those that the rollouts lack are left out with a warning.
           divergence_name: of `tcbi_infer.divergence`, used by the `paper` method.
           loop: "open", "closed", or "auto".
+          prior: "flat" within the parameters' bounds, or "model" to go on from what the model's particles say; these rollouts
+            must be new then, since data must not count twice.
           policies: the store's root, where policies are looked for.
           timestep: s of the simulation; 0.01, or one sample interval if that is shorter.
           threads: 0 for all processors.
@@ -83,6 +90,14 @@ class Problem:
         """
         divergence(divergence_name)
         usable, warnings = checked(model, measurements)
+        if prior not in (FLAT, MODEL):
+            raise InferError(describe("prior", prior, f"{FLAT} or {MODEL}"))
+        twice = sorted(used_before(model) & {m.rollout_id for m in usable}) if prior == MODEL else []
+        if twice:
+            raise InferError(
+                f"{len(twice)} rollouts, {twice[0]} first, made the distribution of {model.version} already and would count "
+                "twice; leave them out, or take the flat prior"
+            )
         controllers, said = find_controllers(usable, loop, policies)
         rate = sample_rate(model, usable)
         groups = grouped(usable, rate, by_policy=bool(controllers))
@@ -106,6 +121,7 @@ class Problem:
             binnings, tuple(pooled[i] for i in used), blocks, sensor_noise(usable, load_rig(model.rig).noise),
             timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
             (*warnings, said, *left_out, *_silent(names, used)),
+            Prior.of(model) if prior == MODEL else None,
         )  # fmt: skip
 
     @property
@@ -123,13 +139,18 @@ class Problem:
         """Whether a policy acts on the simulated robot."""
         return any(c is not None for c in self.controllers)
 
-    def simulate(self, unit: np.ndarray, progress: Callable[[float], None] | None = None) -> Features:
-        """Features of (N, P) particles in [0, 1]; each particle's do not depend on the others.
+    def unit(self, cube: np.ndarray) -> np.ndarray:
+        """(N, P) where the prior is uniform -> (N, P) in the parameters' unit cube."""
+        return cube if self.prior is None else self.prior.unit(cube)
+
+    def simulate(self, cube: np.ndarray, progress: Callable[[float], None] | None = None) -> Features:
+        """Features of (N, P) particles in the cube where the prior is uniform; none depends on the others.
 
         Args:
-          unit: (N, P).
+          cube: (N, P).
           progress: called with the share done.
         """
+        unit = self.unit(cube)
         size = sum(len(g.measurements) * len(g.time) for g in self.groups) * (
             len(load_rig(self.model.rig).joint_names) + 20
         )

@@ -1,0 +1,59 @@
+"""A model version's own distribution as the prior of the next inference."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi.prior import MODEL, Prior, used_before
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Measurement, Scenario
+from tcbi_sim.model import Model, base_model
+
+
+def narrow(rollouts: tuple[str, ...] = ()) -> Model:
+    model = base_model("servo_bench")
+    rng = np.random.default_rng(0)
+    unit = np.clip(rng.normal([0.5, 0.4, 0.6], [0.02, 0.05, 0.1], (400, 3)), 0.01, 0.99)
+    return model.with_particles(model.from_unit(unit), rollouts=list(rollouts))
+
+
+def rollouts() -> list[Measurement]:
+    model = base_model("servo_bench")
+    commands = Commands(np.arange(20) * 0.1, np.random.default_rng(1).uniform(-1, 1, (20, 1)), 0.1)
+    out = simulate(model, model.sample(np.random.default_rng(2), 4), [Scenario("bench", 2.0)], commands=[commands])
+    found = []
+    for n in range(4):
+        m = out.measurement(n, rollout_id=f"run-{n}")
+        found.append(dataclasses.replace(m, commands=commands))
+    return found
+
+
+def test_the_cubes_uniform_distribution_becomes_the_models_own():
+    model = narrow()
+    cube = np.random.default_rng(3).random((20000, 3))
+    unit = Prior.of(model).unit(cube)
+    own = model.to_unit(model.particles)
+    np.testing.assert_allclose(unit.mean(axis=0), own.mean(axis=0), atol=0.01)
+    np.testing.assert_allclose(unit.std(axis=0), own.std(axis=0), rtol=0.1)
+
+
+def test_rollouts_that_made_the_model_do_not_count_twice():
+    measurements = rollouts()
+    model = narrow((measurements[2].rollout_id,))
+    assert used_before(model) == {"run-2"}
+    with pytest.raises(InferError, match="run-2"):
+        Problem.of(model, measurements, prior=MODEL)
+
+
+def test_an_unknown_prior_is_refused_by_name():
+    with pytest.raises(InferError, match="jeffreys"):
+        Problem.of(narrow(), rollouts(), prior="jeffreys")
+
+
+def test_the_flat_prior_leaves_the_cube_alone():
+    problem = Problem.of(narrow(), rollouts())
+    cube = np.random.default_rng(0).random((5, 3))
+    np.testing.assert_array_equal(problem.unit(cube), cube)
