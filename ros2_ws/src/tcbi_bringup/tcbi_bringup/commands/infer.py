@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--prior",
         choices=("flat", "model"),
         default="flat",
-        help="flat (default) within the parameters' bounds; model: go on from what the model version says, with new rollouts",
+        help="flat (default); model: go on from what the model version says, with rollouts that it has not seen",
     )
     parser.add_argument("--timestep", type=float, help="s, of the simulation (default: 0.01)")
     parser.add_argument("--threads", type=int, default=0, help="0 (default) for all processors")

@@ -189,7 +189,8 @@ class _Run:
             model = screen.directions.models[u]
             self.progress(f"fitting {screen.directions.uses[u]}", 0.55 + 0.3 * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
-            rough = fitter.run(start_points(screen, data, u, coarse), coarse.nuisance, steps=(0.08, 0.05, 0.03, 0.03, 0.02))
+            starts = start_points(self.problem, screen, data, u, coarse, fitter)
+            rough = fitter.run(starts, steps=(0.08, 0.05, 0.03, 0.03, 0.02))
             fits[u] = rough, self._refit(rough, nuisance)
         return fits
 

@@ -78,8 +78,8 @@ class Problem:
           statistics: by name; those that the rollouts lack are left out with a warning.
           divergence_name: of `tcbi_infer.divergence`, used by the `paper` method.
           loop: "open", "closed", or "auto".
-          prior: "flat" within the parameters' bounds, or "model" to go on from what the model's particles say; these rollouts
-            must be new then, since data must not count twice.
+          prior: "flat" within the parameters' bounds, or "model" to go on from what the model's particles say; these
+            rollouts must be new then, since data must not count twice.
           policies: the store's root, where policies are looked for.
           timestep: s of the simulation; 0.01, or one sample interval if that is shorter.
           threads: 0 for all processors.
@@ -95,8 +95,8 @@ class Problem:
         twice = sorted(used_before(model) & {m.rollout_id for m in usable}) if prior == MODEL else []
         if twice:
             raise InferError(
-                f"{len(twice)} rollouts, {twice[0]} first, made the distribution of {model.version} already and would count "
-                "twice; leave them out, or take the flat prior"
+                f"{len(twice)} rollouts, {twice[0]} first, made the distribution of {model.version} already and would "
+                "count twice; leave them out, or take the flat prior"
             )
         controllers, said = find_controllers(usable, loop, policies)
         rate = sample_rate(model, usable)
