@@ -310,8 +310,8 @@ class Collector:
     def _begin(self, stamp: Any) -> int:
         """When the rollout begins (ns).
 
-        A simulation's clock stands at the reset. A robot's does not: there the rollout begins at a control tick a moment
-        ahead, which leaves time to switch the policy on, so that every repeat has its commands at the same times.
+        A simulation's clock stands at the reset. A robot's does not: there the rollout begins at a control tick a
+        moment ahead, which leaves time to switch the policy on: every repeat has its commands at the same times.
         """
         zero = self._zero(stamp)
         if self.node.simulated_time:

@@ -62,12 +62,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def newest(task: str, root: Any) -> str:
-    """The policy of this task that was made last: in the store, else the shipped one."""
+    """The policy of this task that was made last in the store; without one there, the shipped one of the task's name."""
     from tcbi_policy.artefact import Policy, find_policy, policy_paths
     from tcbi_policy.errors import PolicyNotFound
 
-    policies = [find_policy(name, root) for name in policy_paths(root)]
-    known = [p for p in policies if isinstance(p, Policy) and p.card.task == task]
-    if not known:
-        raise PolicyNotFound(f"no policy for task {task!r} exists; make one with ./tcbi train --task {task}")
-    return max(known, key=lambda p: p.card.created).card.name
+    paths = policy_paths(root)
+    own = [find_policy(name, root) for name, path in paths.items() if path.is_relative_to(root)]
+    known = [p for p in own if isinstance(p, Policy) and p.card.task == task]
+    if known:
+        return max(known, key=lambda p: p.card.created).card.name
+    if task in paths:
+        return task
+    raise PolicyNotFound(f"no policy for task {task!r} exists; make one with ./tcbi train --task {task}")

@@ -11,7 +11,7 @@ from tcbi_bringup.domain_lock import hold_domain
 from tcbi_bringup.errors import DemoError, SecondGraphError
 from tcbi_bringup.launcher import Graph, NodeProcess
 
-FIRST_POLICY = "balance"
+FIRST_POLICY = "balance-early"  # a short training, as a first attempt is
 DOMAINS = range(60, 100)  # beyond 101 the ports of a domain may be taken by the system
 
 

@@ -44,9 +44,9 @@ def read_commands(
 def sending_delay(records: list[Record]) -> int:
     """How long after their stamps commands were sent (ns): the median delay of their arrival at the recorder.
 
-    A command bears the stamp of its control tick. The policy sends it when the sensors of that tick have arrived, some ten
-    milliseconds later in real time; taken for the robot's, that time would look like a latency. Recordings of simulated
-    time have none, and where the recorder's clock is another one than the stamps' nothing is corrected.
+    A command bears the stamp of its control tick. The policy sends it when the sensors of that tick have arrived, some
+    ten milliseconds later in real time; taken for the robot's, that time would look like a latency. Recordings of
+    simulated time have none, and where the recorder's clock is another one than the stamps' nothing is corrected.
     """
     delays = np.array([record.log_time - record.stamp for record in records])
     median = int(np.median(delays))
