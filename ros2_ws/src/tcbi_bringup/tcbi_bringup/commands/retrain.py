@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def newest(task: str, root: Any) -> str:
-    """The policy of this task that was made last in the store; without one there, the shipped one of the task's name."""
+    """The newest policy of this task in the store; without one there, the shipped one of the task's name."""
     from tcbi_policy.artefact import Policy, find_policy, policy_paths
     from tcbi_policy.errors import PolicyNotFound
 

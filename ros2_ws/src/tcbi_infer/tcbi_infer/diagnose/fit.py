@@ -15,6 +15,7 @@ from tcbi_sim.model import Model
 
 STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
 STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
+TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with each step
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
@@ -166,18 +167,16 @@ class Fitter:
             jacobian, bend = known or self.slopes(unit, predicted, step)
             before = self._total(residual, delta, scale)
             move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
-            trials = np.clip(unit + np.array(stretch)[:, None] * move, 0.0, 1.0)
+            trials, trial_deltas = self._trials(unit, delta, move, move_delta, stretch)
             trial_predicted = self.predict(trials)
             best, best_total = -1, before
-            for i, share in enumerate(stretch):
-                trial_residual = self.residual(trial_predicted[i], delta + share * move_delta)
-                total = self._total(trial_residual, delta + share * move_delta, scale)
+            for i, trial_delta in enumerate(trial_deltas):
+                total = self._total(self.residual(trial_predicted[i], trial_delta), trial_delta, scale)
                 if total < best_total:
                     best, best_total = i, total
             if best >= 0:
-                delta = delta + stretch[best] * move_delta
                 moved = float(np.max(np.abs(trials[best] - unit)))
-                unit, predicted = trials[best], trial_predicted[best]
+                unit, predicted, delta = trials[best], trial_predicted[best], trial_deltas[best]
                 residual = self.residual(predicted, delta)
                 scale = self.scales(residual)
             small = max(SMALL_GAIN, SMALL_SHARE * abs(before))
@@ -185,6 +184,17 @@ class Fitter:
             if converged and step <= FINE_STEP:
                 break
         return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
+
+    def _trials(
+        self, unit: np.ndarray, delta: np.ndarray, move: np.ndarray, move_delta: np.ndarray, stretch: Sequence[float]
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Where a step may end: shorter and longer, and with all forces and masses scaled together."""
+        trials = [np.clip(unit + share * move, 0.0, 1.0) for share in stretch]
+        deltas = [delta + share * move_delta for share in stretch]
+        together = [scaled_together(self.model, trials[stretch.index(1.0)], factor) for factor in TOGETHER]
+        if len(stretch) < len(STRETCH) or np.allclose(together[0], trials[stretch.index(1.0)]):
+            return np.array(trials), deltas
+        return np.array(trials + together), deltas + [delta + move_delta] * len(together)
 
     def polish(self, fit: Fit) -> Fit:
         """A fit at another time step carried on at this one, with its slopes, which hardly depend on the step."""
@@ -250,6 +260,19 @@ class Fitter:
         normal, slope = self._quadratic(residual, scale, jacobian, bend)
         loss = self.problem.loss(residual, scale, self.sets)
         return Fit(self.model, unit, delta, predicted, residual, loss, scale, normal, slope, jacobian, bend, converged)
+
+
+def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:
+    """(P,) unit vector with every force, mass and stiffness multiplied alike, which hardly changes a motion.
+
+    Only what the model takes as known (a rotor, a torque limit) tells the common factor, so it is the direction in
+    which fits creep.
+    """
+    result = unit.copy()
+    for i, p in enumerate(model.parameters):
+        if p.low >= 0 and (p.unit.startswith(("kg", "N"))):
+            result[i] = p.to_unit(np.clip(float(p.from_unit(unit[i])) * factor, p.low, p.high))
+    return result
 
 
 def probe(unit: np.ndarray, step: float) -> np.ndarray:
