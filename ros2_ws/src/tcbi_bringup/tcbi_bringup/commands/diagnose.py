@@ -24,7 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders of bags")
     parser.add_argument("--model", default="latest", help="model version (default: latest)")
     parser.add_argument("--effects", help="comma-separated candidates (default: the whole library)")
-    parser.add_argument("--refine", type=int, default=4, help="candidates that get a full fit (default: 4)")
+    parser.add_argument("--refine", type=int, default=3, help="candidates that get a full fit (default: 3)")
+    parser.add_argument(
+        "--quick", action="store_true", help="a first answer from few motions: coarse steps, no single joints, two fits"
+    )
     parser.add_argument(
         "--report", type=Path, metavar="FILE", help="where the HTML report goes (default: in the store)"
     )

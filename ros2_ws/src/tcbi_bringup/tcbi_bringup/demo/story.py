@@ -3,6 +3,8 @@
 Every figure is measured on the spot. What is hidden in the robot is looked at once, at the very end, to be named.
 """
 
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,13 @@ TASK = "balance"
 MOST_EFFECTS = 2  # added one after another
 PARTICLES = 12  # of the predictive bands
 SLOPE = 0.12  # rad, of the ground under the recorded motions
+
+
+Advance = Callable[..., None]  # of a progress bar
+
+
+def _silent(*_: object, **__: object) -> None:
+    """No progress bar."""
 
 
 @dataclass
@@ -76,11 +85,18 @@ class Story:
         """All steps in order."""
         with self.step("record"):
             self.record()
+        robot = self._run_meanwhile(self.run_task)
         with self.step("compare"):
             self.compare()
         with self.step("locate"):
             self.locate()
         model = self.explain()
+        with self.step("run"):
+            robot.result()
+            self.say(
+                f"meanwhile the robot ran its task with its first policy: return {mean_return(self.out.before):.0f}, final "
+                f"inclination {tilt(self.out.before):.1f} deg; and {len(self.out.unseen)} motions for the end"
+            )
         with self.step("infer"):
             model = self.infer(model)
         with self.step("retrain"):
@@ -92,13 +108,17 @@ class Story:
     # -- steps ----------------------------------------------------------------------------------------------------
 
     def record(self) -> None:
-        """Motions to learn from, and the task with the first policy."""
+        """Motions to learn from."""
         plan, out = self.plan, self.out
         self.say(f"robot {self.robot.seed} moves: {len(plan.motions)} motions of {plan.motion_s:g} s, each twice")
-        out.motions = self._motions(plan.motions, "motions", 0)
-        out.before = self._deploy(FIRST_POLICY, "before")
-        told = f"first policy: return {mean_return(out.before):.0f}, final inclination {tilt(out.before):.1f} deg"
-        self.say(f"{len(out.motions) + len(out.before)} rollouts, a bag each, in {self.folder / 'rollouts'}; {told}")
+        with console.progress("recording", total=2 * len(plan.motions)) as advance:
+            out.motions = self._motions(plan.motions, "motions", 0, advance)
+        self.say(f"{len(out.motions)} rollouts, a bag each, in {self.folder / 'rollouts'}")
+
+    def run_task(self) -> None:
+        """The task with the first policy, and motions that only the final errors are judged on."""
+        self.out.before = self._deploy(FIRST_POLICY, "before")
+        self.out.unseen = self._motions(self.plan.unseen, "unseen", 100)
 
     def compare(self) -> None:
         """The base model against the measurements."""
@@ -167,13 +187,13 @@ class Story:
         self.say(result.message)
 
     def measure(self) -> None:
-        """New rollouts: the task again, and motions that no fit has seen."""
+        """The task again, on new rollouts; every model version on the motions that no fit has seen."""
         out = self.out
         accepted = out.retraining is not None and out.retraining.accepted
-        out.after = self._deploy(out.retraining.policy if accepted else FIRST_POLICY, "after")
+        with console.progress("deploying", total=self.plan.deployments) as advance:
+            out.after = self._deploy(out.retraining.policy if accepted else FIRST_POLICY, "after", advance)
         change = f"return {mean_return(out.before):.0f} -> {mean_return(out.after):.0f}"
         self.say(f"{change}, final inclination {tilt(out.before):.1f} -> {tilt(out.after):.1f} deg on the robot")
-        out.unseen = self._motions(self.plan.unseen, "unseen", 100)
         for model in out.models:
             out.errors[model.version] = compare(model, out.unseen, particles=PARTICLES)
         ladder = ", ".join(f"{v} {c.error_over_floor:.1f}" for v, c in out.errors.items())
@@ -181,33 +201,38 @@ class Story:
 
     # -- inside ---------------------------------------------------------------------------------------------------
 
-    def _motions(self, gaits: tuple[str, ...], name: str, seed: int) -> list[Measurement]:
+    def _run_meanwhile(self, work: Callable[[], None]) -> Future[None]:
+        """Let the robot work while the model is being looked at."""
+        pool = ThreadPoolExecutor(1, thread_name_prefix="robot")
+        future = pool.submit(work)
+        pool.shutdown(wait=False)
+        return future
+
+    def _motions(self, gaits: tuple[str, ...], name: str, seed: int, advance: Advance = _silent) -> list[Measurement]:
         """Each motion twice, on ground that is tilted another way each time."""
         folder, bags = self.folder / "rollouts" / name, []
-        with console.progress(f"recording {name}", total=2 * len(gaits)) as advance:
-            for i, gait in enumerate(gaits):
-                angle = 2.4 * i  # rad; never the same direction twice
-                slope = (SLOPE * float(np.cos(angle)), SLOPE * float(np.sin(angle)))
-                for _ in range(2):
-                    bags += self.lab.collect(
-                        TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope]
-                    )
-                    advance(1)
+        for i, gait in enumerate(gaits):
+            angle = 2.4 * i  # rad; never the same direction twice
+            slope = (SLOPE * float(np.cos(angle)), SLOPE * float(np.sin(angle)))
+            for _ in range(2):
+                bags += self.lab.collect(
+                    TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope]
+                )
+                advance(1)
         return read_measurements(bags)
 
-    def _deploy(self, policy: str, name: str) -> list[Measurement]:
+    def _deploy(self, policy: str, name: str, advance: Advance = _silent) -> list[Measurement]:
         """The task with a policy; the same seeds, hence the same slopes, before and after."""
         plan, folder = self.plan, self.folder / "rollouts" / name
-        with console.progress(f"deploying {Path(policy).stem}", total=plan.deployments) as advance:
-            bags = self.lab.collect(
-                TASK,
-                policy,
-                plan.deployments,
-                1000 + self.robot.seed,
-                folder,
-                duration_s=plan.deployment_s,
-                feedback=lambda f: advance(done=f.done),
-            )
+        bags = self.lab.collect(
+            TASK,
+            policy,
+            plan.deployments,
+            1000 + self.robot.seed,
+            folder,
+            duration_s=plan.deployment_s,
+            feedback=lambda f: advance(done=f.done),
+        )
         return read_measurements(bags)
 
     def _diagnose(self, model: Model) -> Diagnosis:

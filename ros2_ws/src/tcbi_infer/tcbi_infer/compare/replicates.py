@@ -124,8 +124,7 @@ def split(replicates: Sequence[Replicates], seed: int = 0, sealed_share: float =
     """
     kinds = sorted({r.kind for r in replicates})
     order = list(np.random.default_rng(seed).permutation(kinds))
-    count = round(sealed_share * len(kinds)) if len(kinds) >= 4 else 0
-    count = max(count, 1) if len(kinds) >= 4 else 0
+    count = max(round(sealed_share * len(kinds)), 1) if len(kinds) >= 4 and sealed_share > 0 else 0
     sealed_kinds = set(order[:count])
     folds = tuple(
         tuple(i for i, r in enumerate(replicates) if r.kind == kind) for kind in kinds if kind not in sealed_kinds

@@ -40,16 +40,17 @@ Progress = Callable[[str, float], None]  # stage, share done
 class Settings:
     """How thorough a diagnosis is."""
 
-    refine: int = 4  # candidates that get a full fit
+    refine: int = 3  # candidates that get a full fit
     per_effect: int = 2  # sites of one effect among them
     timestep: float = 0.002  # s, of the final fits
     coarse: float = 0.005  # s, of the screening and of first fits
     seed: int = 0
     likeness: float = 0.97  # cosine above which two candidates' signatures count as the same
     per_joint: bool = True  # try effects at every single joint
+    sealed_share: float = 0.2  # of the kinds of motion, opened at the very end
 
 
-QUICK = Settings(refine=2, timestep=0.005, per_joint=False)  # a first answer, in a third of the time
+QUICK = Settings(refine=2, timestep=0.005, per_joint=False, sealed_share=0.0)  # a first answer, from few motions
 
 
 def diagnose(
@@ -90,7 +91,7 @@ class _Run:
         self.model, self.settings, self.progress = model, settings, progress
         self.measurements = measurements
         self.replay = Replay.of(model, measurements)
-        self.split: Split = split(self.replay.replicates, settings.seed)
+        self.split: Split = split(self.replay.replicates, settings.seed, settings.sealed_share)
         self.sets = np.array(self.split.open, int)
         self.uses = list(uses) if uses is not None else self._library()
         self.floor = self._floor(model)
@@ -146,14 +147,14 @@ class _Run:
         width = len(self.model.parameters)
         levels = GRID if width <= 4 else (0.3, 0.7)
         starts = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
-        first = Fitter(self.problem, self.model, none, self.sets, self.settings.coarse).run(
-            starts, steps=(0.12, 0.1, 0.08, 0.06)
-        )
+        everything = Fitter(self.problem, self.model, none, self.sets, self.settings.coarse)
+        near = everything.on_few_sets().run(starts, steps=(0.12, 0.1, 0.08, 0.06))
+        first = everything.run(near.unit[None], steps=(0.06,))
         self.problem = self.problem.with_autocorrelation(self._full(first.residual))
         self.progress("fitting the base model", 0.12)
         nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
         again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
-        return again.run(first.unit[None], steps=(0.06, 0.04, 0.03, 0.02, 0.02)), nuisance
+        return again.run(first.unit[None], steps=(0.05, 0.03, 0.03, 0.02)), nuisance
 
     def _full(self, residual: np.ndarray) -> np.ndarray:
         full = np.zeros_like(self.problem.observed)
@@ -189,8 +190,8 @@ class _Run:
             model = screen.directions.models[u]
             self.progress(f"fitting {screen.directions.uses[u]}", 0.55 + 0.3 * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
-            starts = start_points(self.problem, screen, data, u, coarse, fitter)
-            rough = fitter.run(starts, steps=(0.08, 0.05, 0.03, 0.03, 0.02))
+            starts = start_points(screen, data, u, coarse, fitter)
+            rough = fitter.run(starts, steps=(0.05, 0.03, 0.03, 0.02))
             fits[u] = rough, self._refit(rough, nuisance)
         return fits
 
@@ -264,12 +265,12 @@ class _Run:
         return rest * np.abs(fine.unit - coarse.unit)
 
     def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
-        """Error over the floor on sealed motions, cross-validated where none are sealed; without joint scatter."""
-        sealed = list(self.split.sealed)
+        """Error over the floor on motions of kinds that the prediction's fit had not seen: held out, or sealed."""
+        predicted, sealed = self.problem.observed[self.sets] - held.residual, list(self.split.sealed)
         if sealed:
-            predicted = self.replay.predict(fit.model, fit.parameters[None], sealed, self.settings.timestep)[0]
-            return self._rollout_error(predicted, sealed)
-        return self._rollout_error(self.problem.observed[self.sets] - held.residual, list(self.sets))
+            unseen = self.replay.predict(fit.model, fit.parameters[None], sealed, self.settings.timestep)[0]
+            predicted = np.concatenate([predicted, unseen])
+        return self._rollout_error(predicted, [*self.sets, *sealed])
 
     def _rollout_error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
         residual = [
@@ -294,14 +295,13 @@ class _Run:
             if not evidence
             else self.base_held
         )
-        base_error = self._rollout_error(self.problem.observed[self.sets] - before.residual, list(self.sets))
         judged = []
         for e in evidence:
             accepted, reason = accept(e, null.threshold)
             judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
         ranking = _mark_rivals(judged)
-        ruling = rule(ranking, base_error, 0.0, kinds)
         unseen = self._unseen_error(base, before)
+        ruling = rule(ranking, unseen, 0.0, kinds)
         no_gain = np.zeros(len(before.score))
         drift = self._drift(self.coarse, base)
         base_evidence = self._refined("", base, base, before, no_gain, unseen, unseen, drift)

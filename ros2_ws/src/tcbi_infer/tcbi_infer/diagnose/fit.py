@@ -16,6 +16,7 @@ from tcbi_sim.model import Model
 STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
 STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
 TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with each step
+TOGETHER_STEP = 0.04  # of a range: only while the steps are as wide as this
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
@@ -100,6 +101,14 @@ class Fitter:
         self.problem, self.model, self.nuisance, self.timestep = problem, model, nuisance, timestep
         self.sets = np.asarray(sets, int)
 
+    def few_positions(self) -> np.ndarray:
+        """Positions of a few open sets that stand for all in a first fit."""
+        return np.unique(np.linspace(0, len(self.sets) - 1, FEW_SETS).astype(int))
+
+    def on_few_sets(self) -> "Fitter":
+        """A fitter of these alone."""
+        return Fitter(self.problem, self.model, self.nuisance, self.sets[self.few_positions()], self.timestep)
+
     def predict(self, unit: np.ndarray) -> np.ndarray:
         """(N, P) unit vectors -> (N, open sets, T, C)."""
         unit = np.atleast_2d(unit)
@@ -121,8 +130,7 @@ class Fitter:
         Of many starts only a few go on to all sets; a few sets tell which.
         """
         if len(starts) > 2 * FINALISTS and len(self.sets) > FEW_SETS:
-            spread = self.sets[np.linspace(0, len(self.sets) - 1, FEW_SETS).astype(int)]
-            few = Fitter(self.problem, self.model, self.nuisance, spread, self.timestep)
+            few = self.on_few_sets()
             totals = few.start_losses(few.predict(starts), nuisance)
             starts = np.asarray(starts)[np.argsort(totals)[:FINALISTS]]
         predicted = self.predict(starts)
@@ -167,7 +175,7 @@ class Fitter:
             jacobian, bend = known or self.slopes(unit, predicted, step)
             before = self._total(residual, delta, scale)
             move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
-            trials, trial_deltas = self._trials(unit, delta, move, move_delta, stretch)
+            trials, trial_deltas = self._trials(unit, delta, move, move_delta, stretch, step >= TOGETHER_STEP)
             trial_predicted = self.predict(trials)
             best, best_total = -1, before
             for i, trial_delta in enumerate(trial_deltas):
@@ -186,13 +194,15 @@ class Fitter:
         return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
 
     def _trials(
-        self, unit: np.ndarray, delta: np.ndarray, move: np.ndarray, move_delta: np.ndarray, stretch: Sequence[float]
+        self, unit: np.ndarray, delta: np.ndarray, move: np.ndarray, move_delta: np.ndarray, stretch: Sequence[float], wide: bool
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Where a step may end: shorter and longer, and with all forces and masses scaled together."""
         trials = [np.clip(unit + share * move, 0.0, 1.0) for share in stretch]
         deltas = [delta + share * move_delta for share in stretch]
+        if not wide:
+            return np.array(trials), deltas
         together = [scaled_together(self.model, trials[stretch.index(1.0)], factor) for factor in TOGETHER]
-        if len(stretch) < len(STRETCH) or np.allclose(together[0], trials[stretch.index(1.0)]):
+        if np.allclose(together[0], trials[stretch.index(1.0)]):
             return np.array(trials), deltas
         return np.array(trials + together), deltas + [delta + move_delta] * len(together)
 
