@@ -94,8 +94,8 @@ class Story:
         with self.step("run"):
             robot.result()
             self.say(
-                f"meanwhile the robot ran its task with its first policy: return {mean_return(self.out.before):.0f}, final "
-                f"inclination {tilt(self.out.before):.1f} deg; and {len(self.out.unseen)} motions for the end"
+                f"meanwhile the robot ran its task with its first policy: return {mean_return(self.out.before):.0f}, "
+                f"final inclination {tilt(self.out.before):.1f} deg; and {len(self.out.unseen)} motions for the end"
             )
         with self.step("infer"):
             model = self.infer(model)
