@@ -32,6 +32,7 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rig import load_rig
 
+FINE_TIMESTEP = 0.002  # s, with which a quick diagnosis compares its coarse one
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
 Progress = Callable[[str, float], None]  # stage, share done
 
@@ -111,6 +112,7 @@ class _Run:
         """All stages in order."""
         coarse, nuisance = self.fit_base()
         self.coarse = coarse
+        self.mimicked: dict[str, np.ndarray] = {}
         self.held: dict[str, HeldOut] = {}
         self.progress("screening effects", 0.25)
         directions = simulate_directions(
@@ -129,6 +131,7 @@ class _Run:
         screen = Screen(self.problem, coarse, nuisance, directions, self.sets)
         data = screen.targets(coarse.residual[None])
         gains = screen.held_out(data)[:, :, 0]
+        self.mimicked = self._mimicked(screen, coarse)
         chosen = self._choose(directions, gains)
         fits = self._fit_chosen(chosen, screen, data, coarse, nuisance)
         self.progress("simulating nothing missing", 0.85)
@@ -217,7 +220,7 @@ class _Run:
                 held = held_out(self.problem, fit, nuisance, self.sets, self.settings.timestep)
                 error_after = self._unseen_error(fit, held)
                 self.held[use] = held
-                drift = self._drift(fits[u][0], fit)
+                drift = self._drift(fits[u][0], fit) + self.mimicked.get(use, 0.0)
                 gains_held = held.score - before.score
                 result.append(self._refined(use, base, fit, held, gains_held, error_before, error_after, drift))
             else:
@@ -235,7 +238,7 @@ class _Run:
         error_after: float,
         drift: np.ndarray,
     ) -> Evidence:
-        low, high, covariance = intervals(fit, held, drift)
+        low, high, covariance = intervals(fit, held, drift, error_after)
         count = len(base.unit)
         lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)
         parameters = tuple(
@@ -258,6 +261,14 @@ class _Run:
             values=tuple(float(v) for v in fit.parameters),
             spread=tuple(tuple(float(x) for x in row) for row in covariance),
         )
+
+    def _mimicked(self, screen: Screen, coarse: Fit) -> dict[str, np.ndarray]:
+        """For each use, how far the coarse time step alone shifts its optimum, where no finer fit measures it."""
+        if self.settings.timestep < self.settings.coarse:
+            return {}
+        fine = self.replay.predict(coarse.model, coarse.parameters[None], list(self.sets), FINE_TIMESTEP)[0]
+        change = np.where(self.problem.weight[self.sets] > 0, fine - coarse.predicted, 0.0)
+        return screen.shifts(screen.targets(np.nan_to_num([change, -change])))
 
     def _drift(self, coarse: Fit, fine: Fit) -> np.ndarray:
         """(P,) how far the optimum may still move below the fine time step, from how far it moved down to it."""
@@ -303,7 +314,7 @@ class _Run:
         unseen = self._unseen_error(base, before)
         ruling = rule(ranking, unseen, 0.0, kinds)
         no_gain = np.zeros(len(before.score))
-        drift = self._drift(self.coarse, base)
+        drift = self._drift(self.coarse, base) + self.mimicked.get("", 0.0)
         base_evidence = self._refined("", base, base, before, no_gain, unseen, unseen, drift)
         return self._package(ruling, ranking, null, directions, base, base_evidence, kinds)
 

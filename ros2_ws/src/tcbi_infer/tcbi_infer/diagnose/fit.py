@@ -194,7 +194,13 @@ class Fitter:
         return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
 
     def _trials(
-        self, unit: np.ndarray, delta: np.ndarray, move: np.ndarray, move_delta: np.ndarray, stretch: Sequence[float], wide: bool
+        self,
+        unit: np.ndarray,
+        delta: np.ndarray,
+        move: np.ndarray,
+        move_delta: np.ndarray,
+        stretch: Sequence[float],
+        wide: bool,
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Where a step may end: shorter and longer, and with all forces and masses scaled together."""
         trials = [np.clip(unit + share * move, 0.0, 1.0) for share in stretch]

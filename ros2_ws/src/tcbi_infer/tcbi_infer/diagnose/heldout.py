@@ -84,19 +84,36 @@ def _predict_folds(
     return problem.residual(predicted + shift, sets)
 
 
+def shared_error(residual: np.ndarray) -> float:
+    """How many channels err alike: one wrong slope of the trunk is in all joints, and is not 18 pieces of evidence.
+
+    Args:
+      residual: (S, T, C), zero where nothing was measured.
+    """
+    flat = residual.reshape(-1, residual.shape[-1])
+    used = flat.std(axis=0) > 0
+    if used.sum() < 2:
+        return 1.0
+    values = np.linalg.eigvalsh(np.corrcoef(flat[:, used].T))
+    return float((values**2).sum() / values.sum())
+
+
 def intervals(
-    fit: Fit, held: HeldOut, drift: np.ndarray, level: float = 0.9
+    fit: Fit, held: HeldOut, drift: np.ndarray, misfit: float, level: float = 0.9
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Interval of each parameter in unit space.
 
-    The spread is the larger of two: the curvature of the loss, in which samples already count by their autocorrelation,
-    and the jackknife over kinds of motion, which also sees what the model gets wrong differently from motion to motion.
-    To it comes what the simulation's own time step leaves uncertain.
+    The spread is the larger of two: the curvature of the loss, in which samples count by their autocorrelation and
+    channels by their correlation, and the jackknife over kinds of motion, which also sees what the model gets wrong
+    differently from motion to motion. It is multiplied by what the model leaves unexplained, in noise floors: a
+    discrepancy that all motions share shifts parameters in a way that no spread between motions shows. To it comes what
+    the simulation's own time step leaves.
 
     Args:
       fit: the fit.
       held: its held-out predictions.
       drift: (P,) how far the optimum may still move as the time step goes to zero.
+      misfit: error over the noise floor on unseen motions.
       level: of the interval.
 
     Returns:
@@ -104,13 +121,15 @@ def intervals(
     """
     count, folds = len(fit.unit), len(held.unit)
     prior = np.r_[np.full(count, 3.0), np.ones(len(fit.nuisance))]
-    curvature = np.linalg.inv(fit.normal.sum(axis=0) + np.diag(prior))[:count, :count]
+    normal = fit.normal.sum(axis=0) / shared_error(fit.residual)
+    curvature = np.linalg.inv(normal + np.diag(prior))[:count, :count]
     if folds > 1:
         apart = held.unit - held.unit.mean(axis=0)
         jackknife = (folds - 1) / folds * apart.T @ apart
     else:
         jackknife = np.zeros_like(curvature)
     grow = np.sqrt(np.maximum(1.0, np.diag(jackknife) / np.diag(curvature)))
+    grow *= max(1.0, misfit)
     covariance = curvature * np.outer(grow, grow) + np.diag(drift**2 / 3.0)
     quantile = stats.t.ppf(0.5 + level / 2, max(folds - 1, 2))
     half = quantile * np.sqrt(np.diag(covariance))

@@ -281,6 +281,22 @@ class Screen:
         )
         return np.clip(null + alpha * (point - null), 0.0, 1.0)
 
+    def shifts(self, targets: Targets) -> dict[str, np.ndarray]:
+        """For each use, and for "" (no effect): how far (P + q) the data sets would move its fit, at most."""
+        alpha, score, base, slope = self.solve(targets, np.arange(len(self.sets)))
+        count = self.base_count
+        result = {"": np.abs(base[:count]).max(axis=1)}
+        for u, use in enumerate(self.directions.uses):
+            moved = []
+            for d in range(alpha.shape[1]):
+                mine = np.nonzero(self.directions.use == u)[0]
+                k = mine[np.argmax(score[mine, d])]
+                point = self.directions.unit[k]
+                own = alpha[k, d] * (self._sized(u, point, 1.0) - self._sized(u, point, 0.0))
+                moved.append(np.r_[base[:count, d] - slope[:count, k] * alpha[k, d], own])
+            result[use] = np.abs(moved).max(axis=0)
+        return result
+
     def likeness(self, a: int, b: int, targets: Targets) -> float:
         """Cosine between the best directions of two uses, base parameters and nuisances profiled out."""
         score = self.solve(targets, np.arange(len(self.sets)))[1][:, 0]

@@ -10,8 +10,8 @@ from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Evidence
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
-WELL_PREDICTED = 6.0  # times the noise floor: what one contact simulation leaves against another at the true parameters
-EXPLAINED = 0.2  # of the excess error: an effect that explains less leaves "something else is missing" open
+WELL_PREDICTED = 5.0  # times the noise floor: above what emulated robots with nothing hidden were seen to leave
+EXPLAINED = 1 / 3  # of the excess error: a candidate that explains less leaves "something else is missing" open
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,8 +76,7 @@ def rule(ranking: Sequence[Evidence], base_error: float, unexplained_limit: floa
     if not accepted:
         return _none_accepted(ranking, base_error, limit, kinds)
     best = accepted[0]
-    left = best.error_after
-    explained = (best.error_before - left) / max(best.error_before - 1.0, 1e-6)
+    left, explained = best.error_after, _explained(best)
     if left > limit and explained < EXPLAINED:
         return Ruling(
             OUTSIDE_LIBRARY,
@@ -104,9 +103,21 @@ def rule(ranking: Sequence[Evidence], base_error: float, unexplained_limit: floa
     )
 
 
+def _explained(e: Evidence) -> float:
+    """The share of the error beyond the floor that a candidate explains; 0 where it was not fitted."""
+    return (e.error_before - e.error_after) / max(e.error_before - 1.0, 1e-6) if e.refined else 0.0
+
+
 def _none_accepted(ranking: Sequence[Evidence], base_error: float, limit: float, kinds: int) -> Ruling:
     best = ranking[0] if ranking else None
     hint = f" The best candidate was {best.use}: {best.reason}." if best else ""
+    if base_error > limit and best and _explained(best) >= EXPLAINED:
+        return Ruling(
+            CANNOT_TELL,
+            (best.use,),
+            f"Something is missing: the refitted model errs by {base_error:.1f} times the noise floor. {best.use} "
+            f"explains {100 * _explained(best):.0f} % of the excess, but is not certain: {best.reason}.",
+        )
     if base_error > limit:
         return Ruling(
             OUTSIDE_LIBRARY,
