@@ -48,6 +48,8 @@ class CommandPath:
 
     def references(self, midpoints: np.ndarray) -> np.ndarray:
         """What the servos track at these times, (B, n, J), for n increasing times (s)."""
+        if self._pending and not self._ramp.any() and self._stepwise():
+            return self._steps(midpoints) + self.fields.offset[:, None, :]
         count, joints = self._from.shape
         out = np.empty((count, len(midpoints), joints))
         self._evaluate(out, midpoints)
@@ -63,6 +65,27 @@ class CommandPath:
                 waiting.append((np.where(begins, np.inf, activation), target, ramp))
         self._pending = waiting
         return out + self.fields.offset[:, None, :]
+
+    def _stepwise(self) -> bool:
+        """Whether every command in flight acts as a step."""
+        return not any(ramp for _, _, ramp in self._pending) and bool(np.isinf(self.fields.speed).all())
+
+    def _steps(self, midpoints: np.ndarray) -> np.ndarray:
+        """`references` where each servo holds the newest target that has reached it."""
+        times = np.stack([activation for activation, _, _ in self._pending])  # (K, B, J), rising but for lost commands
+        targets = np.stack([target for _, target, _ in self._pending])
+        out = np.repeat(self._to[:, None, :], len(midpoints), axis=1)
+        for b, j in np.ndindex(self._to.shape):
+            arrives = np.flatnonzero(np.isfinite(times[:, b, j]))
+            newest = np.searchsorted(times[arrives, b, j], midpoints, side="right") - 1
+            given = newest >= 0
+            out[b, given, j] = targets[arrives[newest[given]], b, j]
+        self._to = out[:, -1].copy()
+        self._from = self._to.copy()
+        waits = (np.isfinite(times) & (times > midpoints[-1])).any(axis=(1, 2))
+        arrived = times <= midpoints[-1]
+        self._pending = [(np.where(arrived[k], np.inf, times[k]), targets[k], 0.0) for k in np.flatnonzero(waits)]
+        return out
 
     def _evaluate(self, out: np.ndarray, times: np.ndarray) -> None:
         out[...] = self._value(times[None, :, None])

@@ -8,6 +8,7 @@
 Parameters are physical values in the model's order. Results are bit-identical at any number of threads.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -182,22 +183,24 @@ def _open_loop(simulator: Simulator, commands: list[Commands]) -> Part:
     times = times[times < duration]
     joints = len(simulator.rig.joint_names)
     table = np.full((len(times), simulator.count, joints), np.nan)
-    power = np.zeros((len(times), simulator.count), np.int8)
+    power = np.zeros((len(times), simulator.count), np.int8)  # 1 or -1 where it is switched on or off
     for b, c in enumerate(commands):
         inside = c.time < duration
         rows = np.searchsorted(times, c.time[inside])
         table[rows, b] = c.target[inside]
         if c.torque_on is not None:
-            power[rows, b] = np.where(c.torque_on[inside], 1, -1)
-    parts, next_command, on = [simulator.observe()], 0, np.ones(simulator.count, bool)
-    window = 1 if power.any() else WINDOW
-    for k in range(0, samples, window):
-        end = min(k + window, samples) / simulator.rate
+            on = np.where(c.torque_on[inside], 1, -1)
+            power[rows, b] = np.where(np.diff(on, prepend=1) != 0, on, 0)
+    parts, next_command, powered = [simulator.observe()], 0, np.ones(simulator.count, bool)
+    switched = np.floor(times[power.any(axis=1)] * simulator.rate + 1e-9).astype(int)
+    windows = np.unique(np.r_[np.arange(0, samples, WINDOW), switched, samples])
+    for k, last in itertools.pairwise(windows):
+        end = last / simulator.rate
         while next_command < len(times) and times[next_command] < end - 1e-9:
             simulator.path.give(float(times[next_command]), table[next_command], commands[0].ramp)
-            on = np.where(power[next_command] == 0, on, power[next_command] > 0)
+            powered = np.where(power[next_command] == 0, powered, power[next_command] > 0)
             next_command += 1
-        simulator.set_torque(on)
+        simulator.set_torque(powered)
         parts.append(simulator.advance(end - k / simulator.rate))
     return Samples.concatenate(parts), times, table.transpose(1, 0, 2), simulator.diverged.copy()
 

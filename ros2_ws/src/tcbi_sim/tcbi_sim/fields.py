@@ -84,6 +84,7 @@ class Fields:
     command: CommandFields
     sensing: SensingFields
     joint_names: tuple[str, ...]
+    powered_damping: np.ndarray  # (B, J) N m s/rad, back-EMF: damping of a joint while its servo has power
     memory: dict = field(default_factory=dict)  # state of effects that change with time, by use of the effect
 
     @property

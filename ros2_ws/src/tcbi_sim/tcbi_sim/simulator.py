@@ -94,6 +94,7 @@ class Simulator:
             CommandFields.perfect(self.count, joints),
             SensingFields.perfect(self.count, joints),
             self.rig.joint_names,
+            np.zeros((self.count, joints)),
         )
         self.path = CommandPath(self.fields.command, [np.random.default_rng(0)] * self.count)
         self._taken = 0  # samples so far: times are counted, never added up
@@ -181,15 +182,16 @@ class Simulator:
         samples = round(duration * self.rate)
         if samples < 1 or abs(samples - duration * self.rate) > 1e-6:
             raise SimError(f"can advance by multiples of {1 / self.rate} s, got {duration} s")
+        control = self._control(samples)
         if not self._drifting:
-            return self._readings(self._advance(samples))
+            return self._readings(self._advance(control))
         parts = []
-        for _ in range(samples):
+        for each in np.split(control, samples, axis=1):
             state = self._state()
             for use in self._drifting:
                 assert use.effect.update is not None
                 use.effect.update(self.fields, self.rig, use.site, use.values(self._row()), state, 1 / self.rate)
-            parts.append(self._advance(1))
+            parts.append(self._advance(each))
         return self._readings(Samples.concatenate(parts))
 
     def observe(self) -> Samples:
@@ -238,6 +240,7 @@ class Simulator:
         for group in (f.command, f.sensing):
             for name, values in vars(group).items():
                 values[...] = np.inf if name == "speed" else 0.0
+        f.powered_damping[...] = 0.0
         self._write_terrain()
         keys = sorted({k for s in self.scenarios for k, _ in s.constants})
         constants = {k: np.array([s.constant(k, np.nan) for s in self.scenarios]) for k in keys}
@@ -245,12 +248,16 @@ class Simulator:
         for use in self.uses:
             use.effect.apply(f, self.rig, use.site, use.values(row))
         self._gain = f.model["actuator_gainprm"].copy(), f.model["actuator_biasprm"].copy()
+        self._damping_off = f.model["dof_damping"][:, self._dofs] if f.powered_damping.any() else None
         self._torque_on[ids] = True
         self._write_gain()
         if f.model.needs_constants:
             self._batch.set_const(ids)
 
     def _write_gain(self) -> None:
+        if self._damping_off is not None:
+            added = np.where(self._torque_on[:, None], self.fields.powered_damping, 0.0)
+            self.fields.model["dof_damping"][:, self._dofs] = self._damping_off + added
         if self._torque_on.all() and "actuator_gainprm" not in self.fields.model:
             return
         on = self._torque_on[:, None, None]
@@ -316,12 +323,18 @@ class Simulator:
         except SimulationError as e:
             self.diverged[e.ids] = True
 
-    def _advance(self, samples: int) -> Samples:
-        """Step, and return the true signals of the new samples."""
+    def _control(self, samples: int) -> np.ndarray:
+        """(B, steps, actuators) what the servos track in the next samples."""
         steps = samples * self.per_sample
         midpoints = (self._taken * self.per_sample + np.arange(steps) + 0.5) * self.timestep
         control = np.zeros((self.count, steps, self._mj.nu))
         control[:, :, self._actuators] = self.path.references(midpoints)
+        return control
+
+    def _advance(self, control: np.ndarray) -> Samples:
+        """Step through (B, steps, actuators), whole samples, and return the true signals of the new samples."""
+        steps = control.shape[1]
+        samples = steps // self.per_sample
         recorded: dict = {}
 
         def call() -> None:

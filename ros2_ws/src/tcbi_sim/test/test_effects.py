@@ -14,9 +14,8 @@ HEXAPOD, BENCH = load_rig("hexapod"), load_rig("servo_bench")
 SCENARIO = Scenario("balance", 2.0, 0.1, -0.05)
 COMMANDS = Commands(np.arange(10) * 0.2, np.random.default_rng(0).uniform(-0.3, 0.3, (10, 18)))
 BENCH_SCENARIO = Scenario("bench", 2.0)
-BENCH_COMMANDS = Commands(
-    np.arange(100) * 0.02, np.cumsum(np.random.default_rng(0).normal(0, 0.1, (100, 1)), axis=0), 0.0
-)
+STEPS = np.random.default_rng(0).normal(0, np.repeat([0.2, 0.01], 50))  # rad: far and fast, then in small steps
+BENCH_COMMANDS = Commands(np.arange(100) * 0.02, np.cumsum(STEPS)[:, None], 0.0)
 
 
 def replay(rig: str, key: str | None, values: dict[str, float]) -> Measurement:

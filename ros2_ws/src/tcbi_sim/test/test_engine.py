@@ -75,6 +75,44 @@ def test_the_batch_agrees_with_a_plain_loop_over_mj_step():
     np.testing.assert_allclose(out.joint_position[0, 0, :, 0], expected, atol=1e-9)
 
 
+def test_an_arm_swings_more_freely_without_power_than_with_a_servo_that_asks_for_nothing():
+    model = base_model("servo_bench")
+    scenario = Scenario("bench", 1.0, initial_joint_position=(1.0,), settle=0.0)
+    values = np.array([[2e-4, 5e-3, 1e-3]])
+    asked = np.zeros((1, 1))
+    powered, limp = (
+        simulate(
+            model,
+            values,
+            [scenario],
+            commands=[Commands(np.zeros(1), asked, ramp=0.0, torque_on=np.array([on]))],
+            timestep=0.001,
+        ).joint_position.min()
+        for on in (True, False)
+    )
+    assert limp < -0.75, "swings through to the other side"
+    assert powered > limp + 0.1, "back-EMF brakes it"
+
+
+def test_power_acts_at_its_own_time_however_the_others_are_switched():
+    model = base_model("servo_bench")
+    values = model.mean()[None]
+    scenario = Scenario("bench", 1.0, settle=0.0)
+    times = np.arange(20) * 0.05
+
+    def switched(at: float) -> Commands:
+        return Commands(times, np.full((20, 1), 0.5), ramp=0.0, torque_on=times < at)
+
+    streams = [switched(0.4), switched(0.65)]
+    together = simulate(model, values, [scenario] * 2, commands=streams, timestep=0.005)
+    for s, stream in enumerate(streams):
+        alone = simulate(model, values, [scenario], commands=[stream], timestep=0.005)
+        np.testing.assert_array_equal(together.joint_position[0, s], alone.joint_position[0, 0])
+    early, late = together.joint_position[0, 0, :, 0], together.joint_position[0, 1, :, 0]
+    np.testing.assert_array_equal(early[:41], late[:41])
+    assert np.all(early[42:66] < late[42:66])
+
+
 def test_a_servo_reaches_its_target_on_a_linear_ramp():
     model = base_model("servo_bench")
     simulator = Simulator(

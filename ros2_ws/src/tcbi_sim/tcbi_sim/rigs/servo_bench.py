@@ -1,7 +1,11 @@
 """A servo test bench: one position servo, one arm, one mass; zero hangs down.
 
 Constants of a recording: `mass` (kg, at the arm's end), `length` (m), `kp` (the servo's own proportional gain, in its
-own units). What the base model holds is a stiffness per unit of kp, viscous damping and Coulomb friction.
+own units), `vin` (V). What the base model holds is a stiffness per unit of kp, viscous damping and Coulomb friction.
+
+The servo drives its motor with a voltage, so a turning motor loses torque in proportion to its speed, from the stall
+torque down to none at the speed without load (both from the maker's sheet). Without power the circuit is open and that
+part is gone: an arm that is let go swings far more freely than one that is driven.
 """
 
 import functools
@@ -14,9 +18,11 @@ from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Noise, Rig, Values
 
 JOINT = "servo"
-MASS, LENGTH, KP = 0.49, 0.10, 200.0  # where a recording does not say
-TORQUE_LIMIT = 0.8  # N m: XL330-M288, 0.52 N m stall at 5 V (maker's sheet), in proportion at 7.4 V
-ARMATURE = 0.0015  # kg m^2
+MASS, LENGTH, KP, VOLTAGE = 0.49, 0.10, 200.0, 7.4  # where a recording does not say
+STALL_TORQUE = 0.52 / 5.0  # N m per V: XL330-M288, maker's sheet: 0.52 N m at 5 V
+BACK_EMF = 0.52 / (103 * 2 * np.pi / 60)  # N m s/rad: stall torque over the sheet's 103 rpm without load, at 5 V both
+ARMATURE = 0.0018  # kg m^2: 0.0017 to 0.0021 identified for this servo, github.com/Rhoban/bam, params/xl330
+FIRM = (0.999, 0.9995, 0.001, 0.5, 2.0)  # joints that stick do not creep
 
 
 @functools.cache
@@ -25,15 +31,17 @@ def servo_bench_rig() -> Rig:
     return Rig(
         name="servo_bench",
         joint_names=(JOINT,),
+        # damping: at 50 mN m s/rad the sheet's speed without load would take the whole stall torque;
+        # friction: 1 % to 20 % of the stall torque
         parameters=(
             Parameter(
                 "gain", "N m/rad/kp", 2e-4, 5e-2, 4e-3, scale="log", description="stiffness per unit of the servo's kp"
             ),
             Parameter(
-                "damping", "N m s/rad", 1e-3, 0.3, 0.03, scale="log", description="viscous friction, back-EMF included"
+                "damping", "N m s/rad", 2e-3, 0.05, 0.015, scale="log", description="viscous friction, without back-EMF"
             ),
             Parameter(
-                "friction", "N m", 1e-3, 0.2, 0.02, scale="log", description="Coulomb friction of motor and gears"
+                "friction", "N m", 5e-3, 0.1, 0.02, scale="log", description="Coulomb friction of motor and gears"
             ),
         ),
         build=build,
@@ -58,9 +66,10 @@ def build(blocks: int = 0) -> mujoco.MjSpec:
         name=JOINT,
         type=mujoco.mjtJoint.mjJNT_HINGE,
         axis=[0, -1, 0],
-        damping=[0.03, 0, 0],
+        damping=[0.015 + BACK_EMF, 0, 0],
         armature=ARMATURE,
         frictionloss=0.02,
+        solimp_friction=list(FIRM),
     )
     arm.explicitinertial = True
     arm.mass, arm.ipos, arm.inertia = MASS, [0, 0, -LENGTH], [1e-5] * 3
@@ -76,7 +85,7 @@ def build(blocks: int = 0) -> mujoco.MjSpec:
     actuator = spec.add_actuator(name=JOINT, target=JOINT, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.set_to_position(kp=1.0)
     actuator.forcelimited = True
-    actuator.forcerange = [-TORQUE_LIMIT, TORQUE_LIMIT]
+    actuator.forcerange = [-STALL_TORQUE * VOLTAGE, STALL_TORQUE * VOLTAGE]
     spec.add_sensor(
         name=f"position/{JOINT}",
         type=mujoco.mjtSensor.mjSENS_JOINTPOS,
@@ -89,9 +98,16 @@ def build(blocks: int = 0) -> mujoco.MjSpec:
 def apply(fields: Fields, values: Values, constants: Values) -> None:
     """The recording's mass, length and kp, and the servo's stiffness, damping and friction."""
     arm, dof = fields.body("arm"), fields.dof(JOINT)
-    one = np.ones(fields.count)
-    fields.model["body_mass"][:, arm] = constants.get("mass", MASS * one)
-    fields.model["body_ipos"][:, arm, 2] = -constants.get("length", LENGTH * one)
-    fields.scale_gain(fields.actuators(), values["gain"] * constants.get("kp", KP * one))
+
+    def constant(name: str, default: float) -> np.ndarray:
+        given = constants.get(name, np.full(fields.count, np.nan))
+        return np.where(np.isnan(given), default, given)
+
+    fields.model["body_mass"][:, arm] = constant("mass", MASS)
+    fields.model["body_ipos"][:, arm, 2] = -constant("length", LENGTH)
+    fields.scale_gain(fields.actuators(), values["gain"] * constant("kp", KP))
+    limit = STALL_TORQUE * constant("vin", VOLTAGE)
+    fields.model["actuator_forcerange"][:, fields.actuators()] = np.stack([-limit, limit], axis=-1)[:, None]
     fields.model["dof_damping"][:, dof] = values["damping"]
     fields.model["dof_frictionloss"][:, dof] = values["friction"]
+    fields.powered_damping[:, fields.joint(JOINT)] = BACK_EMF
