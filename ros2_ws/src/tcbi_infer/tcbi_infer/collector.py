@@ -6,12 +6,12 @@ blocks, and recording goes on meanwhile. Durations are ROS time; patience is wal
 
 import math
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import Point, Vector3
-from rclpy.serialization import serialize_message
+from geometry_msgs.msg import Point, PoseStamped, Vector3
+from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool
 
 from tcbi_contract import messages, names
@@ -197,10 +197,8 @@ class Collector:
 
     async def _distance(self) -> float:
         """From the tracker; else what the operator enters in time; else unknown."""
-        from tcbi_infer.recorder_node import first_and_last
-
         node = self.node
-        pair = first_and_last(node.poses)
+        pair = _first_and_last(node.poses)
         if pair is not None:
             (start, orientation), (end, _) = ((_xyz(p.pose.position), _xyzw(p.pose.orientation)) for p in pair)
             return travelled(start, end, orientation)
@@ -317,6 +315,14 @@ class Collector:
         if self.node.simulated_time:
             return zero
         return next_tick(max(zero, self.node.get_clock().now().nanoseconds + LEAD_NS))
+
+
+def _first_and_last(poses: Sequence[bytes]) -> tuple[PoseStamped, PoseStamped] | None:
+    """The tracker's first and newest pose of a rollout, if there are two."""
+    if len(poses) < 2:
+        return None
+    first, last = (deserialize_message(data, PoseStamped) for data in (poses[0], poses[-1]))
+    return first, last
 
 
 def _succeeded(response: Any, what: str) -> Any:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -269,14 +268,6 @@ def _aborted(template: RolloutEvent, rollout: Any, why: str) -> RolloutEvent:
     event = RolloutEvent(rollout_id=rollout.rollout_id, kind=RolloutEvent.ABORT, distance=float("nan"), note=why)
     event.header.stamp = template.header.stamp
     return event
-
-
-def first_and_last(poses: Sequence[bytes]) -> tuple[PoseStamped, PoseStamped] | None:
-    """The tracker's first and newest pose of a rollout, if there are two."""
-    if len(poses) < 2:
-        return None
-    first, last = (deserialize_message(data, PoseStamped) for data in (poses[0], poses[-1]))
-    return first, last
 
 
 def main(args: Sequence[str] | None = None) -> int:
