@@ -276,12 +276,12 @@ class _Run:
         return rest * np.abs(fine.unit - coarse.unit)
 
     def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
-        """Error over the floor on motions of kinds that the prediction's fit had not seen: held out, or sealed."""
-        predicted, sealed = self.problem.observed[self.sets] - held.residual, list(self.split.sealed)
+        """Error over the floor on sealed motions, cross-validated where none are sealed; without joint scatter."""
+        sealed = list(self.split.sealed)
         if sealed:
-            unseen = self.replay.predict(fit.model, fit.parameters[None], sealed, self.settings.timestep)[0]
-            predicted = np.concatenate([predicted, unseen])
-        return self._rollout_error(predicted, [*self.sets, *sealed])
+            predicted = self.replay.predict(fit.model, fit.parameters[None], sealed, self.settings.timestep)[0]
+            return self._rollout_error(predicted, sealed)
+        return self._rollout_error(self.problem.observed[self.sets] - held.residual, list(self.sets))
 
     def _rollout_error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
         residual = [
@@ -312,7 +312,8 @@ class _Run:
             judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
         ranking = _mark_rivals(judged)
         unseen = self._unseen_error(base, before)
-        ruling = rule(ranking, unseen, 0.0, kinds)
+        held_error = self._rollout_error(self.problem.observed[self.sets] - before.residual, list(self.sets))
+        ruling = rule(ranking, held_error, 0.0, kinds)
         no_gain = np.zeros(len(before.score))
         drift = self._drift(self.coarse, base) + self.mimicked.get("", 0.0)
         base_evidence = self._refined("", base, base, before, no_gain, unseen, unseen, drift)
