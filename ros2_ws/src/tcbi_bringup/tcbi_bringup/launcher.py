@@ -295,10 +295,21 @@ class Graph:
 
     def check(self) -> None:
         """Raise LaunchError if a process has failed, with the last lines of its log."""
+        if failed := self._failed():
+            raise LaunchError(f"{self.explain(failed)}; its last lines:\n{self.tail(failed.name, 20)}")
+
+    def check_briefly(self) -> None:
+        """The same in one line, with the last of its log, for the terminal."""
+        if failed := self._failed():
+            last = "" if failed.reason else "".join(f": {line}" for line in self._all[failed.name].last_lines(1))
+            raise LaunchError(f"{self.explain(failed)}{last}")
+
+    def _failed(self) -> ProcessStatus | None:
         for status in self.status():
             failed = status.state == "given up" or (status.state == "ended" and status.exit_code)
             if failed and status.name not in self._stopping:
-                raise LaunchError(f"{self.explain(status)}; its last lines:\n{self.tail(status.name, 20)}")
+                return status
+        return None
 
     def explain(self, status: ProcessStatus) -> str:
         """Why a process ended, and where its log is."""

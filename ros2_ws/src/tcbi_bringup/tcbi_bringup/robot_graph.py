@@ -25,6 +25,7 @@ class GraphOptions:
       namespace: before every topic.
       seed: of the simulation or the emulated robot.
       learning: start the inference and the retrain node too.
+      recordings: the recorder's folder; None for that of the store.
     """
 
     store: Path
@@ -36,6 +37,7 @@ class GraphOptions:
     namespace: str = ""
     seed: int = 0
     learning: bool = True
+    recordings: Path | None = None
 
     def check(self) -> None:
         """Refuse what does not go together.
@@ -100,7 +102,7 @@ def companion_processes(options: GraphOptions) -> list[NodeProcess]:
     nodes = [
         node("tcbi_sim", "description_node", {}),
         node("tcbi_policy", "policy_node", {**store, **({"policy": options.policy} if options.policy else {})}),
-        node("tcbi_infer", "recorder_node", {"folder": str(options.store / "rollouts")}),
+        node("tcbi_infer", "recorder_node", {"folder": str(options.recordings or options.store / "rollouts")}),
     ]
     if options.learning:
         nodes += [node("tcbi_infer", "inference_node", store), node("tcbi_policy", "retrain_node", store)]

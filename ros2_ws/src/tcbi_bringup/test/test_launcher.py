@@ -81,6 +81,9 @@ def test_without_restart_a_failure_is_reported_with_its_last_words(tmp_path):
         assert graph.wait_for_exit("one", DEADLINE_S) == 1
         with pytest.raises(LaunchError, match=r"(?s)exit status 1.*no such port"):
             graph.check()
+        with pytest.raises(LaunchError, match=r"exit status 1; its log is .*: no such port") as told:
+            graph.check_briefly()
+        assert "\n" not in str(told.value)
 
 
 @pytest.mark.parametrize(("code", "tries"), [("exit(1)", launcher.CONFIGURATION_TRIES), ("exit(3)", launcher.TRIES)])

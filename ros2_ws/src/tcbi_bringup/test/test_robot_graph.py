@@ -61,3 +61,12 @@ def test_an_emulated_robot_and_its_driver_share_a_port():
     assert str(driver.parameters["port"]) in emulated.arguments
     assert str(experimenter.parameters["socket"]) in emulated.arguments
     assert driver.namespace == experimenter.namespace == "left"
+
+
+def test_a_recorder_that_is_told_where_to_record_leaves_the_store_s_folder_to_others(tmp_path):
+    def folder(**more) -> str:
+        recorder = next(p for p in companion_processes(options(**more)) if p.executable == "recorder_node")
+        return str(recorder.parameters["folder"])
+
+    assert folder(recordings=tmp_path) == str(tmp_path)
+    assert folder() == str(Path("store") / "rollouts")

@@ -25,6 +25,7 @@ from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.srv import ResetEpisode
 
 CANCEL_S = 15.0
+GONE_S = 10.0  # without the recorder, until it is given up
 
 
 class CollectClient:
@@ -33,11 +34,13 @@ class CollectClient:
     Attributes:
       on_progress: called with the rollouts done, the present rollout's id, and its seconds left.
       on_distance: called with a rollout's id once it is over; what it returns (m) is sent as `rollout/distance`.
+      while_waiting: called again and again until the recorder has taken the goal; raises if waiting is in vain.
     """
 
     def __init__(self, domain_id: int | None = None, namespace: str = "") -> None:
         self.on_progress: Callable[[int, str, float], None] = lambda *_: None
         self.on_distance: Callable[[str], float] | None = None
+        self.while_waiting: Callable[[], None] = lambda: None
         self._on_place: Callable[[Any], None] | None = None
         self._asked: set[str] = set()
         self._context = rclpy.Context()
@@ -65,22 +68,22 @@ class CollectClient:
         """Wait for the recorder, send the goal, wait for its end; returns the result and whether all went well.
 
         Raises:
-          RecordingError: there is no recorder, or it is busy.
+          RecordingError: there is no recorder, it is busy, or it has gone.
         """
-        if not self._until(self._client.server_is_ready, ready_s):
+        if not self._until(self._client.server_is_ready, ready_s, self.while_waiting):
             raise RecordingError(
                 f"nobody offers {names.COLLECT_ROLLOUTS} after {ready_s:g} s; start the graph (./tcbi up), "
                 "or let --robot start one"
             )
         sent = self._client.send_goal_async(_goal(request), feedback_callback=self._on_feedback)
-        if not self._until(sent.done, ready_s):
+        if not self._until(sent.done, ready_s, self.while_waiting):
             raise RecordingError(f"the recorder did not answer within {ready_s:g} s; look at the log of recorder_node")
         handle = sent.result()
         if not handle.accepted:
             raise RecordingError("the recorder is busy with another rollout; wait for its end, or cancel it")
         ended = handle.get_result_async()
         try:
-            self._until(ended.done)
+            self._until(ended.done, while_waiting=self._recorder_watch())
         except KeyboardInterrupt:
             handle.cancel_goal_async()
             if not self._until(ended.done, CANCEL_S):
@@ -88,11 +91,33 @@ class CollectClient:
         answer = ended.result()
         return answer.result, answer.status == GoalStatus.STATUS_SUCCEEDED
 
-    def _until(self, condition: Callable[[], bool], timeout_s: float = float("inf")) -> bool:
+    def _recorder_watch(self) -> Callable[[], None]:
+        """What raises once the recorder has been away for GONE_S."""
+        seen = time.monotonic()
+
+        def watch() -> None:
+            nonlocal seen
+            if self._client.server_is_ready():
+                seen = time.monotonic()
+            elif time.monotonic() - seen > GONE_S:
+                raise RecordingError(
+                    f"the recorder has gone for {GONE_S:g} s; its finished rollouts are kept, a cut-off one is for "
+                    "./tcbi recover; look at the log of recorder_node"
+                )
+
+        return watch
+
+    def _until(
+        self,
+        condition: Callable[[], bool],
+        timeout_s: float = float("inf"),
+        while_waiting: Callable[[], None] = lambda: None,
+    ) -> bool:
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
                 return False
+            while_waiting()
             self._executor.spin_once(timeout_sec=0.1)
         return True
 

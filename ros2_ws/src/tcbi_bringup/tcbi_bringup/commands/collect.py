@@ -5,7 +5,7 @@ import contextlib
 import math
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -82,8 +82,8 @@ def run(args: argparse.Namespace) -> int:
     )
     check(request)
     domain = present_domain()
-    with _graph(args, domain), console.progress("recording", total=args.number) as advance:
-        result, succeeded = _ask(args, domain, request, advance)
+    with _graph(args, domain) as check_graph, console.progress("recording", total=args.number) as advance:
+        result, succeeded = _ask(args, domain, request, advance, check_graph)
     if args.json:
         console.emit({"success": succeeded, "message": result.message, "bags": list(result.bags)})
     else:
@@ -97,10 +97,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def _graph(args: argparse.Namespace, domain: int) -> Iterator[None]:
-    """The graph to record from: nothing to do for one that runs."""
+def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]]:
+    """The graph to record from, nothing to do for one that runs; yields what raises if a process of it has failed."""
     if args.robot == "running":
-        yield
+        yield lambda: None
         return
     from tcbi_bringup.domain_lock import hold_domain, refuse_second_graph
     from tcbi_bringup.graph_monitor import GraphMonitor
@@ -116,6 +116,7 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[None]:
         store=console.store_folder(args.store),
         seed=args.seed,
         learning=False,
+        recordings=args.out.resolve() if args.out else None,
     )
     options.check()
     with (
@@ -134,15 +135,18 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[None]:
                 wait_for_port(emulated_port(Path(folder)), graph, lambda: False)
         for process in companion_processes(options):
             graph.start(process)
-        yield
-        graph.check()
+        yield graph.check_briefly
+        graph.check_briefly()
 
 
-def _ask(args: argparse.Namespace, domain: int, request: Any, advance: Any) -> tuple[Any, bool]:
+def _ask(
+    args: argparse.Namespace, domain: int, request: Any, advance: Any, check_graph: Callable[[], None]
+) -> tuple[Any, bool]:
     """Send the goal, show its progress, return its result and whether it succeeded."""
     from tcbi_infer.collect_client import CollectClient
 
     with CollectClient(domain, args.namespace) as client:
+        client.while_waiting = check_graph
         if args.ask_distance:
             client.on_distance = _ask_distance
         if args.place:
