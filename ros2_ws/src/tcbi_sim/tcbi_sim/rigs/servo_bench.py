@@ -4,7 +4,7 @@ Constants of a recording: `mass` (kg, at the arm's end), `length` (m), `kp` (the
 own units), `vin` (V). What the base model holds is a stiffness per unit of kp, viscous damping and Coulomb friction.
 
 The servo drives its motor with a voltage, so a turning motor loses torque in proportion to its speed, from the stall
-torque down to none at the speed without load (both from the maker's sheet). Without power the circuit is open and that
+torque of the maker's sheet downwards. Without power the circuit is open and that
 part is gone: an arm that is let go swings far more freely than one that is driven.
 """
 
@@ -20,7 +20,7 @@ from tcbi_sim.rig import Noise, Rig, Values
 JOINT = "servo"
 MASS, LENGTH, KP, VOLTAGE = 0.49, 0.10, 200.0, 7.4  # where a recording does not say
 STALL_TORQUE = 0.52 / 5.0  # N m per V: XL330-M288, maker's sheet: 0.52 N m at 5 V
-BACK_EMF = 0.52 / (103 * 2 * np.pi / 60)  # N m s/rad: stall torque over the sheet's 103 rpm without load, at 5 V both
+BACK_EMF = 0.303**2 / 3.37  # N m s/rad: torque constant (N m/A) squared over resistance (Ohm), published as below
 ARMATURE = 0.0018  # kg m^2: 0.0017 to 0.0021 identified for this servo, github.com/Rhoban/bam, params/xl330
 FIRM = (0.999, 0.9995, 0.001, 0.5, 2.0)  # joints that stick do not creep
 
@@ -31,17 +31,15 @@ def servo_bench_rig() -> Rig:
     return Rig(
         name="servo_bench",
         joint_names=(JOINT,),
-        # damping: at 50 mN m s/rad the sheet's speed without load would take the whole stall torque;
-        # friction: 1 % to 20 % of the stall torque
         parameters=(
             Parameter(
                 "gain", "N m/rad/kp", 2e-4, 5e-2, 4e-3, scale="log", description="stiffness per unit of the servo's kp"
             ),
             Parameter(
-                "damping", "N m s/rad", 2e-3, 0.05, 0.015, scale="log", description="viscous friction, without back-EMF"
+                "damping", "N m s/rad", 1e-3, 0.3, 0.015, scale="log", description="viscous friction, without back-EMF"
             ),
             Parameter(
-                "friction", "N m", 5e-3, 0.1, 0.02, scale="log", description="Coulomb friction of motor and gears"
+                "friction", "N m", 1e-3, 0.2, 0.02, scale="log", description="Coulomb friction of motor and gears"
             ),
         ),
         build=build,
