@@ -173,6 +173,13 @@ def test_another_robot_is_refused_by_its_joints(tmp_path):
     assert read_measurement(bag, rig="arm").joint_names == ("shoulder", "elbow")
 
 
+def test_joints_count_more_than_a_note_that_calls_the_robot_a_hexapod(tmp_path):
+    begin = rows(keep=lambda row: row[0] == ROLLOUT_EVENT)
+    bag = written(tmp_path, begin + joint_rows([0.0, 0.1, 0.2], ("shoulder", "elbow")))
+    with pytest.raises(BagError, match="another robot: its joints are shoulder, elbow"):
+        read_measurement(bag)
+
+
 def test_a_rollout_of_another_rig_is_refused_by_name(tmp_path):
     bag = write_measurement(tmp_path, bench())
     assert read_measurement(bag, rig="servo_bench").scenario.constant("kp") == 100.0

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tcbi_infer.compare.guards import check_recording
+from tcbi_infer.compare.guards import check_recording, guard
 from tcbi_infer.compare.locate import locate
 from tcbi_infer.compare.noise import autocorrelation_time, from_fast_changes, noise_floor
 from tcbi_infer.compare.replicates import Replicates, find_replicates, split
@@ -110,6 +110,12 @@ def test_a_window_mean_is_the_mean_of_its_window():
 
 def test_a_sound_recording_raises_no_finding():
     assert check_recording(recording()) == []
+
+
+def test_what_the_reader_left_out_of_a_bag_is_told_before_any_figure():
+    cut = dataclasses.replace(recording(), rollout_id="cut", notes=("no imu/data: no attitude is compared",))
+    assert guard([cut]) == ["no imu/data: no attitude is compared."]
+    assert guard([recording(), cut]) == ["no imu/data: no attitude is compared (cut)."]
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, infer, save, print."""
     from tcbi_infer import posterior
     from tcbi_infer.bags.reader import read_measurements
+    from tcbi_infer.compare.guards import guard
     from tcbi_infer.tcbi.driver import infer
     from tcbi_infer.tcbi.method import find_method
     from tcbi_infer.tcbi.problem import Problem
@@ -70,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
 
     method, store = find_method(args.method), ModelStore(args.store)
     measurements = read_measurements(args.bags)[: args.rollouts]
+    for finding in guard(measurements):
+        console.note(f"note: {finding}")
     model = store.load(args.model, measurements[0].rig)
     problem = Problem.of(
         model,

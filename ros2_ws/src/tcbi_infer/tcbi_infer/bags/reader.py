@@ -114,8 +114,12 @@ def _rig(recording: Recording, span: Span, wanted: str | None) -> tuple[str, tup
     records = recording.records.get(JOINT_STATES)
     if not records:
         raise BagError(f"{recording.path}: {lacking(recording)}")
-    seen = tuple(records[0].message.name)
-    rig = span.note.rig or (HEXAPOD if set(JOINTS) <= set(seen) else None)
+    every = dict.fromkeys(tuple(record.message.name) for record in records)
+    seen = next((names for names in every if set(JOINTS) <= set(names)), next(iter(every)))
+    is_hexapod = set(JOINTS) <= set(seen)
+    rig = span.note.rig or (HEXAPOD if is_hexapod else None)
+    if rig == HEXAPOD and not is_hexapod:  # its note says so, its joints do not
+        rig = None
     if rig is None and wanted is not None and wanted != HEXAPOD:
         rig = wanted
     if rig is None:

@@ -14,13 +14,14 @@ from tcbi_sim.measurement import Measurement
 
 MOVES = np.radians(2.0)  # rad, standard deviation of a command that counts as motion
 GAP = 0.2  # s
+SWAPPED = 0.7  # correlation of a joint with the command that it is said to follow; less comes about by chance
 
 
 def guard(measurements: Sequence[Measurement]) -> list[str]:
-    """Findings about the recordings, the same finding of several rollouts told once."""
+    """Findings about the recordings and what their reader had to leave out, each told once for several rollouts."""
     findings: dict[str, list[str]] = {}
     for m in measurements:
-        for finding in check_recording(m):
+        for finding in (*m.notes, *check_recording(m)):
             findings.setdefault(finding, []).append(m.rollout_id)
     sentences = []
     for finding, rollouts in findings.items():
@@ -28,7 +29,7 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
         more = (
             f" and {len(rollouts) - 3} more" if len(rollouts) not in (len(measurements),) and len(rollouts) > 3 else ""
         )
-        sentences.append(f"{finding} ({who}{more}).")
+        sentences.append(f"{finding} ({who}{more})." if len(measurements) > 1 else f"{finding}.")
     return sentences
 
 
@@ -93,7 +94,7 @@ def _wiring(m: Measurement) -> list[str]:
     findings += [
         f"{names[a]} and {names[b]} follow each other's commands: they may be swapped"
         for a, b in itertools.combinations(range(len(moving)), 2)
-        if min(correlation[a, b], correlation[b, a]) > max(own[a], own[b]) + 0.3
+        if min(correlation[a, b], correlation[b, a]) > max(SWAPPED, max(own[a], own[b]) + 0.3)
     ]
     return findings
 
