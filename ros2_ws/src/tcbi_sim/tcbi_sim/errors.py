@@ -15,4 +15,4 @@ class UnknownNameError(SimError):
 
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        super().__init__(f"unknown {what} {name!r}{hint} Known: {', '.join(known) or 'none'}")
+        super().__init__(f"unknown {what} {name!r}{hint}; known: {', '.join(known) or 'none'}")
