@@ -104,25 +104,32 @@ class LabNode(Node):
         Raises:
           DemoError: the policy node refuses it.
         """
-        future = self._load.call_async(LoadPolicy.Request(policy=policy))
+        future = self._spun(lambda: self._load.call_async(LoadPolicy.Request(policy=policy)))
         _until(future.done, ANSWER_S, f"{names.LOAD_POLICY} did not answer")
         answer = future.result()
         if not answer.success:
             raise DemoError(f"the policy node refuses {policy}: {answer.message}")
         return answer.policy_id
 
+    def _spun(self, call: Callable[[], Any]) -> Any:
+        """Make a call in the spinning thread: an answer that comes before its request is noted would be dropped."""
+        assert self.executor is not None
+        task = self.executor.create_task(call)
+        _until(task.done, ANSWER_S, "the lab node does not spin")
+        return task.result()
+
     def _do(self, client: ActionClient, goal: Any, feedback: Feedback | None) -> Any:
         heard = None if feedback is None else (lambda message: feedback(message.feedback))
-        sent = client.send_goal_async(goal, feedback_callback=heard)
+        sent = self._spun(lambda: client.send_goal_async(goal, feedback_callback=heard))
         _until(sent.done, ANSWER_S, "an action server did not answer")
         handle = sent.result()
         if not handle.accepted:
             raise DemoError("an action server refused its goal; is another one under way?")
-        done = handle.get_result_async()
+        done = self._spun(handle.get_result_async)
         try:
             _until(done.done, float("inf"), "")
         except KeyboardInterrupt:
-            cancelled = handle.cancel_goal_async()
+            cancelled = self._spun(handle.cancel_goal_async)
             with contextlib.suppress(DemoError):
                 _until(cancelled.done, 2.0, "no answer to a cancellation")
             raise

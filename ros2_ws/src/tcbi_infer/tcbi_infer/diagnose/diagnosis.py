@@ -19,7 +19,7 @@ from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import MIN_KINDS, Split, split
 from tcbi_infer.compare.signals import JOINT
 from tcbi_infer.diagnose.evidence import Diagnosis, Evidence, Moment, ParameterEstimate
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.heldout import HeldOut, held_out, intervals
 from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
@@ -149,10 +149,13 @@ class _Run:
         none = Nuisance.none(self.problem)
         width = len(self.model.parameters)
         levels = GRID if width <= 4 else (0.3, 0.7)
-        starts = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
+        grid = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
+        nominal = np.array([p.nominal for p in self.model.parameters])
+        known = np.array([to_unit(self.model, self.model.mean()), to_unit(self.model, nominal)])
+        starts = np.concatenate([known, grid])
         everything = Fitter(self.problem, self.model, none, self.sets, self.settings.coarse)
         near = everything.on_few_sets().run(starts, steps=(0.12, 0.1, 0.08, 0.06))
-        first = everything.run(near.unit[None], steps=(0.06,))
+        first = everything.run(np.concatenate([near.unit[None], known]), steps=(0.06,))
         self.problem = self.problem.with_autocorrelation(self._full(first.residual))
         self.progress("fitting the base model", 0.12)
         nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
