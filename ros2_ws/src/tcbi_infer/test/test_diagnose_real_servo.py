@@ -21,7 +21,7 @@ DATA = Path(os.environ.get("TCBI_DATA", ROOT.parent / "shared" / "data")) / "xl3
 def test_load_dependent_friction_lowers_the_error_on_a_trajectory_no_fit_saw():
     mapping = load_mapping("xl330_bench")
     recordings = [read_log(mapping, path) for path in sorted(DATA.glob("*.json"))]
-    diagnosis = diagnose(base_model("servo_bench"), recordings, uses=["stribeck_friction"])
+    diagnosis = diagnose(base_model("motor_bench"), recordings, uses=["load_friction"])
     (friction,) = diagnosis.ranking
     assert len(diagnosis.sealed) == 3  # one trajectory at each of the servo's three gains
     assert friction.error_after < 0.75 * friction.error_before

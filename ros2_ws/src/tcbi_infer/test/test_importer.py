@@ -45,7 +45,7 @@ def mapping_file(folder: Path, text: str) -> Path:
 
 def test_a_json_log_becomes_a_rollout_of_its_rig(tmp_path):
     m = read_log(load_mapping("xl330_bench"), log(tmp_path))
-    assert (m.rollout_id, m.rig, m.joint_names) == ("kp100_sin", "servo_bench", ("servo",))
+    assert (m.rollout_id, m.rig, m.joint_names) == ("kp100_sin", "motor_bench", ("servo",))
     np.testing.assert_array_equal(m.time, [0.0, 0.005, 0.011, 0.02, 0.025])
     np.testing.assert_array_equal(m.joint_position[:, 0], [0.1, 0.2, 0.3, 0.4, 0.5])
     np.testing.assert_array_equal(m.commands.time, [0.0, 0.005, 0.02])

@@ -38,6 +38,16 @@ def any_rig(rig: Rig) -> str:
     return ""
 
 
+def lacks(parameter: str) -> Callable[[Rig], str]:
+    """Only for rigs whose own model does not have this parameter already."""
+
+    def why_not(rig: Rig) -> str:
+        own = any(p.name == parameter for p in rig.parameters) and not rig.floating
+        return f"its own model already has it (parameter {parameter})" if own else ""
+
+    return why_not
+
+
 def position_servos(rig: Rig) -> str:
     """Only for rigs whose commands are positions."""
     return "" if rig.kind == "position" else "its commands are torques, not positions"

@@ -18,7 +18,7 @@ def store(tmp_path) -> ModelStore:
 
 
 def test_an_empty_store_has_version_0_of_every_rig(store):
-    assert store.versions() == ["hexapod-v0", "servo_bench-v0"]
+    assert store.versions() == ["hexapod-v0", "servo_bench-v0", "motor_bench-v0"]
     assert store.load().version == "hexapod-v0"
 
 

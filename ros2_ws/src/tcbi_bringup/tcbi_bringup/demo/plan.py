@@ -13,7 +13,7 @@ class Plan:
       motion_s: length of each recorded motion, s.
       deployments: rollouts of the task with the first policy, and again with the new one.
       deployment_s: length of each, s; 0 for the task's own.
-      effects: candidates; empty for the whole library.
+      effects: candidates.
       thorough: whether the diagnosis takes its time.
       particles: of the inference.
       generations: of the inference, at most.
@@ -42,17 +42,24 @@ BASIC_EFFECTS = (
     *(f"weak_leg:{leg}" for leg in ("lf", "lm", "lr", "rf", "rm", "rr")),
 )
 
+# without those of single joints and those that follow the load from sample to sample, which take long on 18 joints
+MORE_EFFECTS = (
+    *BASIC_EFFECTS,
+    *("command_deadband", "gyro_bias", "imu_tilt", "lost_commands", "rotor_inertia", "sensor_latency", "slope_error"),
+    *("soft_ground", "torque_saturation"),
+)
+
 FULL = Plan(
     motions=("steps", "sinus", "tripod", "squat", "steps:1", "twist", "dither", "sinus:1"),
     unseen=("steps:7", "sinus:7"),
-    motion_s=5.0,
-    deployments=4,
+    motion_s=4.0,
+    deployments=3,
     deployment_s=0.0,
-    effects=(),
+    effects=MORE_EFFECTS,
     thorough=True,
     particles=48,
     generations=4,
-    training_s=75.0,
+    training_s=60.0,
 )
 QUICK = Plan(
     motions=("steps", "sinus", "tripod", "squat"),
@@ -64,5 +71,5 @@ QUICK = Plan(
     thorough=False,
     particles=16,
     generations=2,
-    training_s=10.0,
+    training_s=15.0,
 )

@@ -31,7 +31,6 @@ from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
 TASK = "balance"
-MOST_EFFECTS = 2  # added one after another
 PARTICLES = 12  # of the predictive bands
 SLOPE = 0.12  # rad, of the ground under the recorded motions
 
@@ -140,16 +139,12 @@ class Story:
             self.say(finding.statement)
 
     def explain(self) -> Model:
-        """Diagnose and add, until nothing more is found."""
+        """Diagnose, and add what is found."""
         model = self.out.models[0]
-        while True:
-            with self.step("diagnose"):
-                diagnosis = self._diagnose(model)
-            again = diagnosis.verdict == EFFECT and len(model.effects) < MOST_EFFECTS
-            with self.step("add"):
-                model = self._add(model, diagnosis)
-            if not again or self.plan.effects:
-                return model
+        with self.step("diagnose"):
+            diagnosis = self._diagnose(model)
+        with self.step("add"):
+            return self._add(model, diagnosis)
 
     def infer(self, model: Model) -> Model:
         """TCBI on the task's rollouts, which no fit has seen, from what the diagnosis says on."""
@@ -236,13 +231,12 @@ class Story:
         return read_measurements(bags)
 
     def _diagnose(self, model: Model) -> Diagnosis:
-        uses = [u for u in self.plan.effects if u not in model.effects] or None
         settings = Settings() if self.plan.thorough else QUICK
         with console.progress("diagnosing", total=1.0) as advance:
             diagnosis = diagnose(
                 model,
                 self.out.motions,
-                uses=uses,
+                uses=self.plan.effects,
                 settings=settings,
                 progress=lambda stage, share: advance(done=share, note=stage),
             )

@@ -1,6 +1,6 @@
 """Dry friction in every joint."""
 
-from tcbi_sim.effect import Effect, Values
+from tcbi_sim.effect import Effect, Values, lacks
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
@@ -22,5 +22,5 @@ EFFECT = Effect(
     ),
     parameters=(Parameter("torque", "N m", 0.0, 0.15, 0.03, null=0.0, description="friction torque of each joint"),),
     apply=apply,
-    requires=lambda rig: "its own model already has it (parameter friction)" if rig.name == "servo_bench" else "",
+    requires=lacks("friction"),
 )

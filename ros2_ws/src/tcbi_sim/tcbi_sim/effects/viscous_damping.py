@@ -1,6 +1,6 @@
 """Viscous friction in every joint."""
 
-from tcbi_sim.effect import Effect, Values
+from tcbi_sim.effect import Effect, Values, lacks
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
@@ -24,5 +24,5 @@ EFFECT = Effect(
         Parameter("damping", "N m s/rad", 0.0, 0.4, 0.08, null=0.0, description="added to each joint's damping"),
     ),
     apply=apply,
-    requires=lambda rig: "its own model already has it (parameter damping)" if rig.name == "servo_bench" else "",
+    requires=lacks("damping"),
 )

@@ -4,10 +4,12 @@ Constants of a recording: `mass` (kg, at the arm's end), `length` (m), `kp` (the
 own units), `vin` (V). What the base model holds is a stiffness per unit of kp, viscous damping and Coulomb friction.
 
 The servo drives its motor with a voltage, so a turning motor loses torque in proportion to its speed, from the stall
-torque of the maker's sheet downwards. Without power the circuit is open and that
-part is gone: an arm that is let go swings far more freely than one that is driven.
+torque downwards. Without power the circuit is open and that part is gone: an arm that is let go swings far more freely
+than one that is driven. Stall torque and back-EMF are those of the maker's sheet in `servo_bench`; in `motor_bench`,
+for a servo that reaches its limits, they are parameters too.
 """
 
+import dataclasses
 import functools
 
 import mujoco
@@ -49,6 +51,21 @@ def servo_bench_rig() -> Rig:
         rate=100.0,
         groups={"servo": (JOINT,)},
     )
+
+
+@functools.cache
+def motor_bench_rig() -> Rig:
+    """The same bench with the motor's stall torque and back-EMF among its parameters."""
+    bench = servo_bench_rig()
+    motor = (
+        Parameter(
+            "stall_torque", "N m/V", 0.03, 0.16, STALL_TORQUE, scale="log", description="greatest torque per volt"
+        ),
+        Parameter(
+            "back_emf", "N m s/rad", 3e-3, 0.08, BACK_EMF, scale="log", description="torque lost to speed under power"
+        ),
+    )
+    return dataclasses.replace(bench, name="motor_bench", parameters=bench.parameters + motor, apply=apply_motor)
 
 
 def build(blocks: int = 0) -> mujoco.MjSpec:
@@ -109,3 +126,11 @@ def apply(fields: Fields, values: Values, constants: Values) -> None:
     fields.model["dof_damping"][:, dof] = values["damping"]
     fields.model["dof_frictionloss"][:, dof] = values["friction"]
     fields.powered_damping[:, fields.joint(JOINT)] = BACK_EMF
+
+
+def apply_motor(fields: Fields, values: Values, constants: Values) -> None:
+    """As `apply`, with the motor's own stall torque and back-EMF."""
+    apply(fields, values, constants)
+    share = (values["stall_torque"] / STALL_TORQUE)[:, None, None]
+    fields.model["actuator_forcerange"][:, fields.actuators()] *= share
+    fields.powered_damping[:, fields.joint(JOINT)] = values["back_emf"]
