@@ -129,11 +129,11 @@ class Physics:
         Args:
           scene: ground and heading.
           joint_position: (18,) rad that the servos then hold; None leaves the servos as they are. While the robot is in
-            the hands its legs hang free, so that servos under torque bring their joints to where they were told.
+            the hands its legs hang free: servos under torque bring their joints to where they were told, and limp ones
+            are laid into the neutral stance.
         """
         if joint_position is None:
-            free = self.servos.on > 0
-            angles, shaft = (np.where(free, self.servos.goal, now) for now in (self._angles, self.shaft))
+            angles = shaft = np.where(self.servos.on > 0, self.servos.goal, 0.0)
         else:
             angles = shaft = np.array(joint_position, float)
         self._build_on(scene, Circumstances.draw(self._hands))
