@@ -36,7 +36,7 @@ def test_import_writes_a_bag_a_log_and_tells_it_as_json(tmp_path, capsys):
     log(tmp_path), log(tmp_path, "run_2.json")
     assert cli.main(["import", "xl330_bench", str(tmp_path), "--out", str(tmp_path / "bags"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["rig"] == "servo_bench"
+    assert told["rig"] == "motor_bench"
     assert [Path(b["bag"]).name for b in told["bags"]] == ["run_1", "run_2"]
     m = read_measurement(told["bags"][0]["bag"])
     assert m.scenario.constant("kp") == 200 and len(m.time) == 200 == told["bags"][0]["samples"]
