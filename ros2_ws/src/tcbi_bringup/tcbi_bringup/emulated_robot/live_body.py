@@ -93,6 +93,10 @@ class LiveBody:
             self._catch_up()
             return self._physics.time, self._physics.true_position(), self._physics.true_attitude()
 
+    def stop(self) -> None:
+        """Stand still for good: a thread that still asks waits, instead of stepping physics while the process ends."""
+        self._lock.acquire()
+
     def _catch_up(self) -> None:
         physics, started = self._physics, self._clock()
         while (present := self._clock()) - self._begin > physics.time and present - started < PATIENCE_S:

@@ -78,6 +78,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"port {terminal.path}", flush=True)
         print(f"socket {server.path}", flush=True)
         serve(electronics, terminals, stop)
+        body.stop()
     return 0
 
 
