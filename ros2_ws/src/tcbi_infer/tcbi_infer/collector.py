@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 NO_POLICY = "none"
 CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more means that they are different clocks
 LEAD_NS = 300_000_000  # from the publication of BEGIN to its stamp, where time runs by itself
+STATUS_S = 3.0  # wall time for the policy node to say what is loaded
 FEEDBACK_S = 0.5  # wall time
 HANDS_S = 2.0  # to discover whether somebody places the robot
 RESETS, PAUSE_S = 4, 1.5  # a real robot may be connecting still, or have missed a reply: tried so often, so far apart
@@ -283,6 +284,7 @@ class Collector:
             return ""
         await self._set_policy(False)
         if not request.policy:
+            await Until(lambda: bool(self.node.policy_id), STATUS_S)
             return self.node.policy_id
         loaded = await self._call(
             self._load, LoadPolicy.Request(policy=request.policy), names.LOAD_POLICY, "policy_node"
