@@ -192,8 +192,11 @@ def test_a_disk_that_fills_up_in_a_rollout_costs_its_end_alone(start_graph, peer
     status, result = Collection(peer, task="balance", number=2, seed=2).result()
     assert status == GoalStatus.STATUS_ABORTED and "cannot be written any more (File too large)" in result.message
     peer.wait_until(lambda: bool(events) and events[-1].kind == RolloutEvent.ABORT, "ABORT")
-    levels = [s.level for array in health for s in array.status if s.name.startswith("recorder_node")]
-    assert DiagnosticStatus.ERROR in levels
+
+    def levels() -> list[bytes]:
+        return [s.level for array in health for s in array.status if s.name.startswith("recorder_node")]
+
+    peer.wait_until(lambda: DiagnosticStatus.ERROR in levels(), "the fault in diagnostics")
     part = read_measurement(tmp_path / "bags" / events[-1].rollout_id)
     assert 0.5 < part.time[-1] < 8.0
     assert len(read_measurement(before.bags[0]).time) == 401
