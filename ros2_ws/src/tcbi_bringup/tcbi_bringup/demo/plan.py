@@ -2,6 +2,14 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from tcbi_infer.diagnose.diagnosis import QUICK as QUICK_DIAGNOSIS
+from tcbi_infer.diagnose.diagnosis import Settings
+
+SLOPE = 0.12  # rad, of the ground under the recorded motions
+TURN = 2.4  # rad between the directions in which it falls, so that no two are alike
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -14,7 +22,7 @@ class Plan:
       deployments: rollouts of the task with the first policy, and again with the new one.
       deployment_s: length of each, s; 0 for the task's own.
       effects: candidates.
-      thorough: whether the diagnosis takes its time.
+      settings: of the diagnosis.
       particles: of the inference.
       generations: of the inference, at most.
       training_s: wall time of the retraining.
@@ -26,7 +34,7 @@ class Plan:
     deployments: int
     deployment_s: float
     effects: tuple[str, ...]
-    thorough: bool
+    settings: Settings
     particles: int
     generations: int
     training_s: float
@@ -56,7 +64,7 @@ FULL = Plan(
     deployments=3,
     deployment_s=0.0,
     effects=MORE_EFFECTS,
-    thorough=True,
+    settings=Settings(),
     particles=48,
     generations=4,
     training_s=60.0,
@@ -68,8 +76,13 @@ QUICK = Plan(
     deployments=2,
     deployment_s=3.0,
     effects=BASIC_EFFECTS,
-    thorough=False,
+    settings=QUICK_DIAGNOSIS,
     particles=16,
     generations=2,
     training_s=15.0,
 )
+
+
+def slope_of(motion: int) -> tuple[float, float]:
+    """Roll and pitch of the ground in rad under a motion: each one's falls another way."""
+    return SLOPE * float(np.cos(TURN * motion)), SLOPE * float(np.sin(TURN * motion))

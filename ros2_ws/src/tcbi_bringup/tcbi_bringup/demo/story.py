@@ -14,12 +14,12 @@ import numpy as np
 from tcbi_bringup.commands import console
 from tcbi_bringup.demo.lab_node import LabNode
 from tcbi_bringup.demo.narration import Narration
-from tcbi_bringup.demo.plan import Plan
+from tcbi_bringup.demo.plan import Plan, slope_of
 from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
 from tcbi_infer.diagnose.adopt import adopt
-from tcbi_infer.diagnose.diagnosis import QUICK, Settings, diagnose
+from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
 from tcbi_infer.posterior import updated
 from tcbi_infer.tcbi.driver import infer
@@ -32,7 +32,6 @@ from tcbi_sim.store import ModelStore
 
 TASK = "balance"
 PARTICLES = 12  # of the predictive bands
-SLOPE = 0.12  # rad, of the ground under the recorded motions
 
 
 Advance = Callable[..., None]  # of a progress bar
@@ -207,11 +206,9 @@ class Story:
         """Each motion twice, on ground that is tilted another way each time."""
         folder, bags = self.folder / "rollouts" / name, []
         for i, gait in enumerate(gaits):
-            angle = 2.4 * i  # rad; never the same direction twice
-            slope = (SLOPE * float(np.cos(angle)), SLOPE * float(np.sin(angle)))
             for _ in range(2):
                 bags += self.lab.collect(
-                    TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope]
+                    TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope_of(i)]
                 )
                 advance(1)
         return read_measurements(bags)
@@ -231,13 +228,12 @@ class Story:
         return read_measurements(bags)
 
     def _diagnose(self, model: Model) -> Diagnosis:
-        settings = Settings() if self.plan.thorough else QUICK
         with console.progress("diagnosing", total=1.0) as advance:
             diagnosis = diagnose(
                 model,
                 self.out.motions,
                 uses=self.plan.effects,
-                settings=settings,
+                settings=self.plan.settings,
                 progress=lambda stage, share: advance(done=share, note=stage),
             )
         self.out.diagnoses.append(diagnosis)
