@@ -33,6 +33,7 @@ from tcbi_msgs.srv import AddEffect, LoadModel
 from tcbi_sim.store import LATEST, ModelStore
 
 DIAGNOSIS_POLL_S = 0.1
+BUSY_S = 10.0  # before a busy retrain server is asked again
 INFERENCE_LOAD_MODEL = f"inference/{names.LOAD_MODEL}"  # the simulator serves load_model for what it simulates
 
 
@@ -85,6 +86,8 @@ class InferenceNode(Node):
         self._news: dict[str, Any] = {}
         self._state, self._fault = "waiting for rollouts", ""
         self._training = self._diagnosing = False
+        self._wish: Retrain.Goal | None = None  # for a training; a later one takes its place
+        self._ask_after = 0.0  # s of the steady clock
         self._open()
 
     def _open(self) -> None:
@@ -121,6 +124,7 @@ class InferenceNode(Node):
                 self._on_news(event)
         if self._worker is None and self._due():
             self._start()
+        self._ask_for_training()
 
     def _due(self) -> bool:
         fitted = len(self._folder.fitted)
@@ -178,25 +182,34 @@ class InferenceNode(Node):
             why.append(f"the posterior moved by {found['moved']:.2g} standard deviations")
         if fall >= self.values.error_fell:
             why.append(f"the error on held-out rollouts fell by {fall:.0%}")
-        if not why or not self.values.retrain or self._training:
+        if not why or not self.values.retrain:
             return
-        if "+" in found["task"] or not self._retrain.server_is_ready():
-            reason = "rollouts of several tasks" if "+" in found["task"] else "no retrain server runs"
-            self.get_logger().warning(f"{' and '.join(why)}, but no training is asked for: {reason}")
+        if "+" in found["task"]:
+            self.get_logger().warning(f"{' and '.join(why)}, but no training is asked for: rollouts of several tasks")
             return
-        self.get_logger().info(f"asks for a training on {found['model']}: {' and '.join(why)}")
-        goal = Retrain.Goal(task=found["task"], model=found["model"], budget_s=self.values.retrain_budget_s)
-        goal.seed = self.values.seed
-        self._training = True
-        self._retrain.send_goal_async(goal).add_done_callback(lambda f: self._on_accepted(f, found["model"]))
+        self._wish = Retrain.Goal(task=found["task"], model=found["model"], budget_s=self.values.retrain_budget_s)
+        self._wish.seed = self.values.seed
+        self.get_logger().info(f"wants a training on {found['model']}: {' and '.join(why)}")
+        if not self._retrain.server_is_ready():
+            self.get_logger().warning("no retrain server runs; it is asked as soon as one does")
 
-    def _on_accepted(self, future: Any, model: str) -> None:
+    def _ask_for_training(self) -> None:
+        """Send the last wish, once a server is there and no training runs."""
+        now = time.monotonic()
+        if self._wish is None or self._training or now < self._ask_after or not self._retrain.server_is_ready():
+            return
+        goal, self._wish, self._training = self._wish, None, True
+        self.get_logger().info(f"asks for a training on {goal.model}")
+        self._retrain.send_goal_async(goal).add_done_callback(lambda f: self._on_accepted(f, goal))
+
+    def _on_accepted(self, future: Any, goal: Retrain.Goal) -> None:
         handle = future.result()
         if not handle.accepted:
-            self._training = False
-            self.get_logger().warning("the retrain server is busy; asked again after the next inference")
+            self._training, self._ask_after = False, time.monotonic() + BUSY_S
+            self._wish = self._wish or goal
+            self.get_logger().warning(f"the retrain server is busy; asked again in {BUSY_S:.0f} s")
             return
-        handle.get_result_async().add_done_callback(lambda f: self._on_trained(f, model))
+        handle.get_result_async().add_done_callback(lambda f: self._on_trained(f, goal.model))
 
     def _on_trained(self, future: Any, model: str) -> None:
         self._training = False
@@ -285,6 +298,7 @@ class InferenceNode(Node):
             "rollouts to fit": len(self._folder.fitted),
             "rollouts held out": len(self._folder.held_out),
             "training": self._training,
+            "training wanted": self._wish is not None,
         }
         status.values = [KeyValue(key=key, value=str(value)) for key, value in facts.items()]
         array = DiagnosticArray(status=[status])
