@@ -23,6 +23,7 @@ from hexapod_driver.link import Link, LinkSettings
 from hexapod_driver.messages import command, diagnostics, not_settable, posture
 from hexapod_driver.readings import BoardReading, JointReading, Reading
 from hexapod_driver.robot import Done, Robot
+from hexapod_driver.serial_port import BAUD_RATE, SENSOR_BAUD_RATE
 from tcbi_contract import messages, names, safety
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.parameters import ParameterError, declare, parameter
@@ -41,9 +42,9 @@ class DriverParameters:
     port: str = parameter(
         "", "serial port of the robot, e.g. /dev/rfcomm0: the sensor board, or the servo bus of two ports"
     )
-    baud_rate: int = parameter(1_000_000, "of port, bit/s", 9_600, 4_000_000)
+    baud_rate: int = parameter(BAUD_RATE, "of port, bit/s", 9_600, 4_000_000)
     sensor_port: str = parameter("", "the sensor board's own port; empty where everything goes over port")
-    sensor_baud_rate: int = parameter(921_600, "of sensor_port, bit/s", 9_600, 4_000_000)
+    sensor_baud_rate: int = parameter(SENSOR_BAUD_RATE, "of sensor_port, bit/s", 9_600, 4_000_000)
     calibration: str = parameter("", "the robot's calibration file (TOML); empty for the shipped default")
     max_speed: float = parameter(4.5, "greatest speed of a commanded ramp, rad/s", 0.1, 10.0)
     approach_speed: float = parameter(0.8, "speed from a limp robot to the commands, and of resets, rad/s", 0.05, 2.0)

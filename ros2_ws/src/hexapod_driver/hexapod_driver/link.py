@@ -55,6 +55,23 @@ class LinkSettings:
     limits: Limits = field(default_factory=Limits)
 
 
+def open_wire(settings: LinkSettings, clock: Callable[[], int], wake: int | None = None) -> Wire:
+    """Open the port or ports for this process alone; nothing is asked yet.
+
+    Raises:
+      PortError: a port cannot be opened.
+    """
+    port = SerialPort(settings.port, settings.baud_rate)
+    if not settings.sensor_port:
+        return OneLink(port, clock, wake)
+    try:
+        board = SerialPort(settings.sensor_port, settings.sensor_baud_rate)
+    except PortError:
+        port.close()
+        raise
+    return TwoPorts(port, board, clock, wake)
+
+
 class Link:
     """The robot behind its port, for use from another thread.
 
@@ -100,7 +117,7 @@ class Link:
           StartupError: the board or servos do not answer.
           LinkLost: the port went away meanwhile.
         """
-        wire = self._open()
+        wire = open_wire(self.settings, self._clock, self._wake_read)
         try:
             self.identity = startup.check(wire, self.settings.calibration)
         except BaseException:
@@ -146,18 +163,6 @@ class Link:
             self._thread.join(timeout=5.0)
         else:
             self._shut()
-
-    def _open(self) -> Wire:
-        s = self.settings
-        port = SerialPort(s.port, s.baud_rate)
-        if not s.sensor_port:
-            return OneLink(port, self._clock, self._wake_read)
-        try:
-            board = SerialPort(s.sensor_port, s.sensor_baud_rate)
-        except PortError:
-            port.close()
-            raise
-        return TwoPorts(port, board, self._clock, self._wake_read)
 
     def _run(self) -> None:
         retry = FIRST_RETRY_S

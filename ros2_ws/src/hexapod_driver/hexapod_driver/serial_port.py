@@ -12,6 +12,7 @@ import serial
 from hexapod_driver.errors import LinkLost, PortError
 
 WRITE_TIMEOUT_S = 0.2
+BAUD_RATE, SENSOR_BAUD_RATE = 1_000_000, 921_600  # bit/s, unless a user says otherwise
 
 
 def _remedy(code: int | None, path: str) -> str:

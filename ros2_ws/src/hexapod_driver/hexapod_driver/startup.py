@@ -10,6 +10,7 @@ from hexapod_driver.wire import Wire
 
 ATTEMPTS = 3
 REPLY_S = 0.4
+SERVO_REMEDY = "check power, cables and the ids in the calibration"
 
 
 def check(wire: Wire, calibration: Calibration) -> Identity:
@@ -18,20 +19,22 @@ def check(wire: Wire, calibration: Calibration) -> Identity:
     Raises:
       StartupError: the board does not answer, speaks another version, or servos are missing: expected and found.
     """
-    identity = _identify(wire)
+    identity = identify(wire)
     wire.submit(feetech.torque(calibration.servos, False))
-    missing = _missing(wire, calibration)
-    if not missing:
-        return identity
+    missing = missing_joints(wire, calibration)
+    if missing:
+        raise StartupError(f"servos: {absence(missing, calibration)}; {SERVO_REMEDY} of {calibration.robot}")
+    return identity
+
+
+def absence(missing: list[str], calibration: Calibration) -> str:
+    """Which servos do not answer, beside how many should."""
     found = len(calibration.joints) - len(missing)
     names = ", ".join(f"{name} (id {calibration.joints[name].servo})" for name in missing)
-    raise StartupError(
-        f"servos: expected {len(calibration.joints)}, found {found}; no answer from {names}; check power, cables and "
-        f"the ids in the calibration of {calibration.robot}"
-    )
+    return f"expected {len(calibration.joints)}, found {found}; no answer from {names}"
 
 
-def _missing(wire: Wire, calibration: Calibration) -> list[str]:
+def missing_joints(wire: Wire, calibration: Calibration) -> list[str]:
     """Joints whose servo does not answer: pinged in rounds, with growing patience for those that are still missing."""
     missing = list(calibration.joints)
     for attempt, timeout_s in enumerate(wire.ping_timeouts_s):
@@ -51,7 +54,12 @@ def _ping(calibration: Calibration, name: str) -> bytes:
     return feetech.encode(calibration.joints[name].servo, Instruction.PING)
 
 
-def _identify(wire: Wire) -> Identity:
+def identify(wire: Wire) -> Identity:
+    """Ask the sensor board who it is.
+
+    Raises:
+      StartupError: it does not answer, or speaks another version, or does not carry the servo bus where it should.
+    """
     for _ in range(ATTEMPTS):
         frame = wire.ask_board(Kind.IDENTIFY, b"", Kind.IDENTITY, REPLY_S)
         if frame is None:

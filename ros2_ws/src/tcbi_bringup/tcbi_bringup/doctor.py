@@ -164,14 +164,14 @@ def clock_check(now: float) -> Check:
     return Check("clock", OK, found)
 
 
-def port_checks(port: str = "") -> Iterator[Check]:
-    """The serial ports, or the one asked for: there, permitted, free.
+def port_checks() -> Iterator[Check]:
+    """The serial ports that are present: permitted, free.
 
-    A port is opened and closed again; nothing is sent.
+    Each is opened and closed again; nothing is sent, since a port may belong to another device.
     """
     from serial.tools.list_ports import comports
 
-    ports = [port] if port else sorted(p.device for p in comports())
+    ports = sorted(p.device for p in comports())
     if not ports:
         remedy = "only a real robot needs one: switch it on, plug it in or pair it"
         yield Check("ports", OK, f"no serial port present ({remedy})")
@@ -195,7 +195,34 @@ def port_check(name: str) -> Check:
     except serial.SerialException as e:
         if "lock" in str(e) or "busy" in str(e).lower():
             return Check(label, FAULT, "busy", f"another program holds it; find it with: fuser {name}")
-        return Check(
-            label, FAULT, str(e), "it is no serial port, or its device has gone; unplug it and plug it in again"
-        )
+        remedy = "give the robot's port; if it is that, its device has gone: unplug it and plug it in again"
+        return Check(label, FAULT, f"is no serial port ({e})", remedy)
     return Check(label, OK, "there, permitted and free")
+
+
+def robot_checks(port: str, sensor_port: str = "", calibration_file: str = "") -> Iterator[Check]:
+    """The robot behind a port, or behind two: every servo, the sensor board, one sample. Nothing moves.
+
+    Args:
+      port: the sensor board's if it carries the servo bus, else the servo bus.
+      sensor_port: the sensor board's own port, or empty.
+      calibration_file: the robot's; empty for the shipped one.
+    """
+    from hexapod_driver import calibration
+    from hexapod_driver.errors import CalibrationError
+    from hexapod_driver.link import LinkSettings
+    from hexapod_driver.probe import probe
+    from hexapod_driver.serial_port import BAUD_RATE, SENSOR_BAUD_RATE
+
+    ports = [port_check(name) for name in (port, sensor_port) if name]
+    yield from ports
+    if any(check.status == FAULT for check in ports):
+        return
+    try:
+        robot = calibration.load(calibration_file)
+    except CalibrationError as error:
+        yield Check("calibration", FAULT, str(error), "correct the file; docs/driver.md says what stands in it")
+        return
+    for finding in probe(LinkSettings(port, BAUD_RATE, sensor_port, SENSOR_BAUD_RATE, robot)):
+        status = OK if finding.good else FAULT
+        yield Check(f"robot: {finding.name}", status, finding.found, finding.remedy)

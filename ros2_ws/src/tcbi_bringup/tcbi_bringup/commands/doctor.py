@@ -9,7 +9,16 @@ SUMMARY = "Check environment, versions, build, disk, rendering, ports, and the t
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to look at."""
-    parser.add_argument("--port", default="", help="check this serial port; default: all that are present")
+    parser.add_argument(
+        "--port",
+        default="",
+        help="talk to the robot behind this serial port (servos and sensors are read, nothing moves); default: only "
+        "see which ports are there and free",
+    )
+    parser.add_argument("--sensor-port", default="", help="the sensor board's own port, where it has one (with --port)")
+    parser.add_argument(
+        "--calibration", default="", metavar="FILE", help="the robot's calibration; default: the shipped one"
+    )
     parser.add_argument("--namespace", default="", help="of the running graph")
     parser.add_argument("--no-graph", action="store_true", help="leave out the running graph (saves seven seconds)")
     console.add_store(parser)
@@ -21,11 +30,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """All checks; 1 if there is a fault."""
-    from tcbi_bringup.doctor import FAULT, WARNING, environment_checks, port_checks
+    from tcbi_bringup.doctor import FAULT, WARNING, environment_checks, port_checks, robot_checks
     from tcbi_bringup.domain_lock import present_domain
+    from tcbi_bringup.errors import LaunchError
     from tcbi_bringup.graph_check import graph_checks
 
-    checks = [*environment_checks(console.store_folder(args.store)), *port_checks(args.port)]
+    if args.sensor_port and not args.port:
+        raise LaunchError("--sensor-port: got it without --port; give the servo bus's port with --port")
+    checks = [*environment_checks(console.store_folder(args.store))]
+    checks += robot_checks(args.port, args.sensor_port, args.calibration) if args.port else port_checks()
     if not args.no_graph and not any(c.name in ("interfaces", "domain") and c.status == FAULT for c in checks):
         checks += graph_checks(present_domain(), args.namespace)
     faults = sum(c.status == FAULT for c in checks)

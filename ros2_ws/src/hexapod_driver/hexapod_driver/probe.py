@@ -1,0 +1,153 @@
+"""A look at the robot behind a port that moves nothing: who answers, where the joints stand, what the sensors say.
+
+    for finding in probe(LinkSettings("/dev/rfcomm0", BAUD_RATE, "", SENSOR_BAUD_RATE, calibration.load(""))):
+        print(finding.name, finding.found)
+
+Servos are pinged and read, never written to. Sensor samples are switched on for a moment and off again, which leaves
+the servos as they are; the board's watchdog keeps its default. So a limp robot stays limp.
+"""
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from hexapod_driver import feetech, sensor_board, startup
+from hexapod_driver.errors import DriverError, LinkLost, PortError, StartupError
+from hexapod_driver.feetech import Packet
+from hexapod_driver.link import LinkSettings, open_wire
+from hexapod_driver.sensor_board import Feature, FrameError, Identity, Kind, Sample
+from hexapod_driver.wire import Wire
+from tcbi_contract.names import JOINT_LIMIT, LEGS
+
+READ_S = 0.5
+SAMPLE_S = 1.0
+SAMPLE_RATE_HZ = 50
+WATCHDOG_MS = 500  # the board's own default
+HEALTH_BYTES = 8  # position, speed, load, voltage, temperature
+BEYOND_RAD = 0.1  # a joint this far outside its range cannot be calibrated right
+GRAVITY, GRAVITY_TOLERANCE = 9.81, 2.0  # m/s^2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was asked of the robot: what answered, and what to do if that is not well."""
+
+    name: str
+    good: bool
+    found: str
+    remedy: str = ""
+
+
+def probe(settings: LinkSettings) -> Iterator[Finding]:
+    """Ask the sensor board, every servo and the sensors, one after the other; ends at the first that makes the rest
+    pointless."""
+    try:
+        wire = open_wire(settings, time.time_ns)
+    except PortError as error:
+        yield Finding("port", False, *_split(error))
+        return
+    try:
+        yield from _ask(wire, settings)
+    except LinkLost as error:
+        yield Finding("link", False, str(error), "check plug, power and radio range, then call again")
+    finally:
+        wire.close()
+
+
+def _ask(wire: Wire, settings: LinkSettings) -> Iterator[Finding]:
+    try:
+        identity = startup.identify(wire)
+    except StartupError as error:
+        yield Finding("sensor board", False, *_split(error))
+        return
+    yield _board(identity)
+    yield from _servos(wire, settings)
+    yield _sample(wire)
+
+
+def _board(identity: Identity) -> Finding:
+    parts = {"servo bus": Feature.SERVO_BUS, "IMU": Feature.IMU, "foot switches": Feature.FOOT_SWITCHES}
+    has = [name for name, feature in parts.items() if identity.features & feature]
+    found = f"{identity.name!r}, firmware {identity.firmware}, up for {identity.time_us * 1e-6:.0f} s"
+    return Finding("sensor board", True, f"{found}, has {', '.join(has) or 'neither IMU nor foot switches'}")
+
+
+def _servos(wire: Wire, settings: LinkSettings) -> Iterator[Finding]:
+    calibration = settings.calibration
+    missing = startup.missing_joints(wire, calibration)
+    if missing:
+        yield Finding("servos", False, startup.absence(missing, calibration), startup.SERVO_REMEDY)
+    else:
+        yield Finding("servos", True, f"all {len(calibration.joints)} answer")
+    joints = {joint.servo: name for name, joint in calibration.joints.items() if name not in missing}
+    if joints:
+        question = feetech.sync_read(joints, feetech.PRESENT_POSITION, HEALTH_BYTES)
+        packets = [p for p in wire.transact(question, len(joints), READ_S) if len(p.params) == HEALTH_BYTES]
+        yield _positions({joints[p.id]: p for p in packets if p.id in joints}, settings, len(joints))
+
+
+def _positions(packets: dict[str, Packet], settings: LinkSettings, asked: int) -> Finding:
+    if not packets:
+        return Finding("positions", False, f"none of {asked} servos tells its position", "restart the servos' power")
+    angles = {
+        name: settings.calibration.to_radian(name, int.from_bytes(p.params[:2], "little"))
+        for name, p in packets.items()
+    }
+    volt = min(p.params[feetech.PRESENT_VOLTAGE - feetech.PRESENT_POSITION] for p in packets.values()) / 10
+    hot = max(p.params[feetech.PRESENT_TEMPERATURE - feetech.PRESENT_POSITION] for p in packets.values())
+    low, high = math.degrees(min(angles.values())), math.degrees(max(angles.values()))
+    found = f"{len(angles)} of {asked} joints read, {low:.1f} to {high:.1f} deg, {volt:.1f} V, up to {hot} deg C"
+    complaints = [f"{name} reports {', '.join(feetech.error_names(p.code))}" for name, p in packets.items() if p.code]
+    beyond = [name for name, angle in angles.items() if abs(angle) > JOINT_LIMIT + BEYOND_RAD]
+    if complaints:
+        return Finding("positions", False, f"{found}; {'; '.join(complaints)}", "let it cool, check load and supply")
+    if beyond:
+        outside = ", ".join(f"{name} {math.degrees(angles[name]):.0f} deg" for name in beyond)
+        remedy = "correct direction and zero_step in the calibration, or lay the legs into their range"
+        return Finding("positions", False, f"{found}; outside +-30 deg: {outside}", remedy)
+    if len(angles) < asked:
+        return Finding("positions", False, found, "bytes get lost: check cables, radio range and the baud rate")
+    return Finding("positions", True, found)
+
+
+def _sample(wire: Wire) -> Finding:
+    wire.send_board(Kind.STREAM, sensor_board.stream_payload(SAMPLE_RATE_HZ, WATCHDOG_MS))
+    frame = wire.ask_board(Kind.KEEP_ALIVE, b"", Kind.SAMPLE, SAMPLE_S)
+    wire.send_board(Kind.STREAM, sensor_board.stream_payload(0, WATCHDOG_MS))
+    if frame is None:
+        return Finding("sensors", False, f"no sample within {SAMPLE_S:g} s", "restart the sensor board")
+    try:
+        return _judge(sensor_board.parse_sample(frame.payload))
+    except FrameError as error:
+        return Finding("sensors", False, str(error), "restart the sensor board, or update its firmware")
+
+
+def _judge(sample: Sample) -> Finding:
+    words, faults = [], []
+    if sample.linear_acceleration is None:
+        words.append("no acceleration")
+    else:
+        size = math.hypot(*sample.linear_acceleration)
+        words.append(f"acceleration {size:.2f} m/s^2")
+        if abs(size - GRAVITY) > GRAVITY_TOLERANCE:
+            faults.append(f"a robot at rest should show {GRAVITY} m/s^2")
+    words.append("no attitude" if sample.orientation is None else f"tilt {_tilt_deg(sample.orientation):.1f} deg")
+    if sample.contact is None:
+        words.append("no foot switches")
+    else:
+        touching = [leg for leg, on in zip(LEGS, sample.contact, strict=True) if on]
+        words.append(f"feet that touch: {' '.join(touching) or 'none'}")
+    remedy = "lay the robot still and call again; else the IMU is damaged or in other units" if faults else ""
+    return Finding("sensors", not faults, ", ".join(words) + "".join(f"; {fault}" for fault in faults), remedy)
+
+
+def _tilt_deg(orientation: tuple[float, ...]) -> float:
+    x, y, _, _ = orientation
+    return math.degrees(math.acos(min(1.0, max(-1.0, 1 - 2 * (x * x + y * y)))))
+
+
+def _split(error: DriverError) -> tuple[str, str]:
+    """A message as what was found and what to do about it, which its last semicolon parts."""
+    found, _, remedy = str(error).rpartition("; ")
+    return (found.removeprefix("sensor board: "), remedy) if found else (str(error), "unplug it and plug it in again")
