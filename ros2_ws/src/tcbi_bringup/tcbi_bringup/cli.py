@@ -98,7 +98,10 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command line; returns the exit status."""
     words = sys.argv[1:] if argv is None else argv
     try:
-        return dispatch(words)
+        status = dispatch(words)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return status
     except TcbiError as e:
         print(f"tcbi: {' '.join(str(e).split())}", file=sys.stderr)
         return FAULT
@@ -127,7 +130,12 @@ def dispatch(words: list[str]) -> int:
         args = parser_for(command, module).parse_args(rest)
     except SystemExit as e:  # argparse has printed what is wrong, or the help
         return int(e.code or OK)
-    return int(module.run(args))
+    if not getattr(args, "json", False):
+        return int(module.run(args))
+    from tcbi_bringup.commands import console
+
+    with console.json_only():
+        return int(module.run(args))
 
 
 def parser_for(command: Command, module: ModuleType) -> argparse.ArgumentParser:
@@ -148,4 +156,7 @@ def unknown(name: str) -> str:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    sys.exit(main())
+    exit_status = main()
+    if sys.stdout is not None:
+        os.dup2(2, 1)  # whatever a library still says at its end is no answer
+    sys.exit(exit_status)

@@ -1,6 +1,8 @@
 """Output of the commands."""
 
 import json
+import subprocess
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +35,31 @@ def test_json_takes_dataclasses_and_keeps_the_order_of_keys(capsys):
     assert json.loads(capsys.readouterr().out) == {"z": [{"name": "q", "error": 0.1}], "a": [1, "x", None]}
     console.emit({"z": 1, "a": 2})
     assert list(json.loads(capsys.readouterr().out)) == ["z", "a"]
+
+
+def run_python(code: str) -> subprocess.CompletedProcess:
+    preamble = "import os, subprocess\nfrom tcbi_bringup.commands import console\n"
+    return subprocess.run([sys.executable, "-c", preamble + code], capture_output=True, text=True, check=False)
+
+
+def test_with_json_only_the_answer_reaches_standard_output_whoever_else_writes_there():
+    done = run_python(
+        "with console.json_only():\n"
+        "    os.write(1, b'by a library\\n')\n"
+        "    print('by a module')\n"
+        "    subprocess.run(['echo', 'by a child'], check=True)\n"
+        "    console.emit({'a': 1})\n"
+        "print('afterwards')"
+    )
+    assert done.stdout == '{\n  "a": 1\n}\nafterwards\n'
+    assert all(words in done.stderr for words in ("by a library", "by a module", "by a child"))
+
+
+def test_standard_output_comes_back_when_a_command_with_json_fails():
+    done = run_python(
+        "try:\n    with console.json_only(): raise RuntimeError\nexcept RuntimeError: print('here again')"
+    )
+    assert done.stdout == "here again\n"
 
 
 def test_a_table_shows_four_digits_and_a_dash_for_nothing(capsys):

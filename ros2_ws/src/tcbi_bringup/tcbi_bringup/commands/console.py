@@ -76,9 +76,45 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
+STANDARD_OUTPUT, STANDARD_ERROR = 1, 2  # file descriptors
+_answer_to: list[int] = []  # the file descriptor of the real standard output, while `json_only` keeps all else off it
+
+
+@contextlib.contextmanager
+def json_only() -> Iterator[None]:
+    """Keep standard output for `emit` alone: what anybody else writes there, a C++ library too, goes to standard error.
+
+    Where standard output is no file of the system's (a test that captures it), nothing is redirected.
+    """
+    try:
+        redirects = sys.stdout.fileno() == STANDARD_OUTPUT
+    except (AttributeError, OSError):  # closed, or no file
+        redirects = False
+    if not redirects:
+        yield
+        return
+    sys.stdout.flush()
+    kept = os.dup(STANDARD_OUTPUT)
+    _answer_to.append(kept)
+    os.dup2(STANDARD_ERROR, STANDARD_OUTPUT)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        _answer_to.pop()
+        os.dup2(kept, STANDARD_OUTPUT)
+        os.close(kept)
+
+
 def emit(result: Any) -> None:
     """Print one JSON object to standard output."""
-    print(json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False), flush=True)
+    text = json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False)
+    if not _answer_to:
+        print(text, flush=True)
+        return
+    data = f"{text}\n".encode()
+    while data:
+        data = data[os.write(_answer_to[-1], data) :]
 
 
 def note(text: str) -> None:
