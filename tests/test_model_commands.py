@@ -83,3 +83,10 @@ def test_adding_what_no_diagnosis_fitted_is_refused_in_one_line(tmp_path, capsys
 def test_an_unknown_effect_is_refused_before_any_fit(bags, tmp_path, capsys):
     assert cli.main(["add", "backlsh", str(bags), "--store", str(tmp_path)]) == 1
     assert "did you mean 'backlash'" in capsys.readouterr().err
+
+
+def test_a_model_is_not_exported_into_a_folder_that_does_not_exist(tmp_path, capsys):
+    assert cli.main(["export-model", str(tmp_path / "new" / "bench.xml"), "--rig", "servo_bench"]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and f"the folder {tmp_path / 'new'} does not exist" in error
+    assert not (tmp_path / "new").exists()

@@ -126,6 +126,15 @@ def test_lost_messages_leave_a_gap_that_is_named(tmp_path):
     assert len(back.time) == 201 - 29
 
 
+def test_a_gap_in_one_topic_is_kept_with_the_fields_that_it_interrupts(tmp_path):
+    case = rollout(samples=201)
+    gap = (START + 1_000_000_000, START + 1_600_000_000)
+    back = read_measurement(written(tmp_path, rows(case, lambda row: row[0] != IMU or not gap[0] < row[1] < gap[1])))
+    assert [name for name, *_ in back.gaps] == ["attitude", "angular_velocity", "linear_acceleration"]
+    assert back.gaps[0][1:] == (pytest.approx(1.0), pytest.approx(1.6))
+    only_note(back, "imu/data: 1 gap")
+
+
 def test_a_few_lost_messages_are_no_gap(tmp_path):
     case = rollout(samples=201)
     lost = {START + round(k * 0.02 * 1e9) for k in (20, 80, 81, 150)}
@@ -146,7 +155,7 @@ def test_where_the_clock_was_set_back_the_longest_stretch_is_used(tmp_path):
     stamps = [k * 0.02 for k in range(150)] + [1.0 + k * 0.02 for k in range(60)]
     back = read_measurement(written(tmp_path, joint_rows(stamps)))
     assert len(back.time) == 150 and np.all(np.diff(back.time) > 0)
-    assert "150 of 210 samples" in only_note(back, "time goes back 1 times, by up to 1.98 s")
+    assert "150 of 210 samples" in only_note(back, "time goes back once, by up to 1.98 s")
 
 
 def test_repeated_stamps_count_once(tmp_path):

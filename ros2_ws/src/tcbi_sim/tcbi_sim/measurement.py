@@ -91,6 +91,7 @@ class Measurement:
     position: np.ndarray | None = None  # (T, 3) m, from a tracker
     distance: float = math.nan  # m, travelled forward
     notes: tuple[str, ...] = ()  # what a reader found missing or repaired
+    gaps: tuple[tuple[str, float, float], ...] = ()  # field, from, to (s): only interpolated there, not measured
 
     def resampled(self, time: np.ndarray) -> "Measurement":
         """The same rollout at other times: linear between samples, contacts the last one seen.

@@ -27,14 +27,18 @@ def run(args: argparse.Namespace) -> int:
     import mujoco
 
     from tcbi_infer.errors import InferError
+    from tcbi_policy.artefact import replace_file
     from tcbi_sim.mjcf import to_xml
     from tcbi_sim.store import ModelStore
 
+    folder = args.file.absolute().parent
+    if not folder.is_dir():
+        raise InferError(
+            f"cannot write {args.file}: the folder {folder} does not exist; make it, or choose another place"
+        )
     model = ModelStore(args.store).load(args.model, args.rig)
-    text = to_xml(model)
     try:
-        args.file.parent.mkdir(parents=True, exist_ok=True)
-        args.file.write_text(text)
+        replace_file(args.file, to_xml(model).encode())
     except OSError as e:
         raise InferError(f"cannot write {args.file}: {e.strerror}; choose another place") from e
     loaded = mujoco.MjModel.from_xml_path(str(args.file))

@@ -10,6 +10,7 @@ taken at the same stamp unchanged, else between its neighbours: linear, contacts
 """
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,10 @@ from tcbi_infer.bags.files import find_bags
 from tcbi_infer.bags.rollouts import Span, lacking, spans
 from tcbi_infer.bags.streams import Recording, Stream, load, stream
 from tcbi_infer.errors import BagError
+from tcbi_infer.gaps import GAP_PERIODS, GAP_S, sample_gaps
 from tcbi_sim.measurement import Measurement, continuous
 
 HEXAPOD = "hexapod"
-GAP_S = 0.1  # the least that counts as a gap
-GAP_PERIODS = 5  # a gap is also longer than so many sample periods
 LEAST_COVER = 0.5  # of the rollout; a signal that covers less is left out
 
 
@@ -82,10 +82,12 @@ def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Me
     if joints is None or len(joints) < 2:
         raise BagError(f"{recording.path}: rollout {span.rollout_id!r} holds no joint_states after its BEGIN event")
     _say_gaps(JOINT_STATES, joints, span, notes)
-    imu = {name: _signal(recording, IMU, row, joints, span, notes) for name, row in IMU_ROWS.items()}
+    gaps: list[tuple[str, float, float]] = []
+    read = partial(_signal, recording, joints=joints, span=span, notes=notes, gaps=gaps)
+    imu = {name: read(IMU, row, name) for name, row in IMU_ROWS.items()}
     foot_names, contact_row = _feet(recording, rig)
-    contact = _signal(recording, FOOT_CONTACTS, contact_row, joints, span, notes)
-    position = _signal(recording, TRACKER_POSE, _position, joints, span, notes)
+    contact = read(FOOT_CONTACTS, contact_row, "contact")
+    position = read(TRACKER_POSE, _position, "position")
     _say_missing(recording, rig, notes)
     attitude = imu["attitude"]
     return Measurement(
@@ -106,6 +108,7 @@ def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Me
         position=position,
         distance=span.distance,
         notes=tuple(dict.fromkeys(notes)),
+        gaps=tuple(gaps),
     )
 
 
@@ -215,7 +218,15 @@ def _feet(recording: Recording, rig: str) -> tuple[tuple[str, ...], Callable[[An
 
 
 def _signal(
-    recording: Recording, topic: str, row: Callable[[Any], Any | None], joints: Stream, span: Span, notes: list[str]
+    recording: Recording,
+    topic: str,
+    row: Callable[[Any], Any | None],
+    name: str,
+    *,
+    joints: Stream,
+    span: Span,
+    notes: list[str],
+    gaps: list[tuple[str, float, float]],
 ) -> np.ndarray | None:
     """A topic's values at the joints' stamps, or None where there are too few."""
     found = stream(topic, recording.records.get(topic, []), row, notes)
@@ -228,6 +239,7 @@ def _signal(
     inside = _within(found, span)
     if inside is not None and len(inside) > 1:
         _say_gaps(topic, inside, span, notes)
+        gaps += [(name, gap.begin, gap.end) for gap in sample_gaps((inside.stamp - span.begin) * 1e-9)]
     if not np.isfinite(found.values).all():
         notes.append(f"{topic}: holds values that are no numbers; the signal is left out")
         return None
@@ -258,18 +270,17 @@ def _at(found: Stream, stamp: np.ndarray, hold: bool, unit: bool) -> np.ndarray:
 
 
 def _say_gaps(name: str, found: Stream, span: Span, notes: list[str]) -> None:
-    steps = np.diff(found.stamp) * 1e-9
-    limit = max(GAP_S, GAP_PERIODS * float(np.median(steps)))
-    gaps = np.flatnonzero(steps > limit)
-    if gaps.size:
-        worst = gaps[np.argmax(steps[gaps])]
-        at = (found.stamp[worst] - span.begin) * 1e-9
+    time = (found.stamp - span.begin) * 1e-9
+    gaps = sample_gaps(time)
+    if gaps:
+        worst = max(gaps, key=lambda gap: gap.length)
+        total = sum(gap.length for gap in gaps)
         notes.append(
-            f"{name}: {gaps.size} gap{'s' if gaps.size > 1 else ''}, {steps[gaps].sum():.2f} s in all, the longest "
-            f"{steps[worst]:.2f} s at {at:.2f} s; there is nothing to compare inside"
+            f"{name}: {len(gaps)} gap{'s' if len(gaps) > 1 else ''}, {total:.2f} s in all, the longest "
+            f"{worst.length:.2f} s at {worst.begin:.2f} s; nothing is compared inside"
         )
     late = (found.stamp[0] - span.begin) * 1e-9
-    if late > limit:
+    if late > max(GAP_S, GAP_PERIODS * float(np.median(np.diff(time)))):
         notes.append(f"{name}: begins {late:.2f} s after the rollout does; how it started is lost")
 
 

@@ -64,7 +64,8 @@ def load(bag: Path, namespace: str | None = None) -> Recording:
         recording.notes += _cut(file, scan)
     recording.topics = tuple(sorted(types))
     if not recording.count:
-        raise BagError(f"{bag}: the bag is empty, not one message can be read" + _because(recording.notes))
+        why = _because(recording.notes)
+        raise BagError(f"{bag}: the bag is empty, it holds not one message{why}; leave it out, or record it again")
     recording.namespace = _namespace(bag, kept, namespace)
     for topic, messages in kept.items():
         name = relative(topic, types[topic])
@@ -196,8 +197,9 @@ def ordered(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
         pieces = np.split(order, back + 1)
         order = max(pieces, key=len)
         worst = -np.diff(stamp).min() * 1e-9
+        often = "once" if back.size == 1 else f"{back.size} times"
         notes.append(
-            f"{name}: time goes back {back.size} times, by up to {worst:.3g} s; only the longest stretch is used, "
+            f"{name}: time goes back {often}, by up to {worst:.3g} s (a clock was set); only the longest stretch is used, "
             f"{len(order)} of {len(stamp)} samples"
         )
     moved = int(np.sum(np.diff(stamp[order]) < 0))

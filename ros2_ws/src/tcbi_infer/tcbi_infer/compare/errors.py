@@ -1,5 +1,7 @@
 """Errors of comparison and diagnosis that a user can cause and mend."""
 
+from collections.abc import Mapping
+
 from tcbi_infer.errors import InferError
 
 
@@ -8,10 +10,17 @@ class CompareError(InferError):
 
 
 class NothingToCompareError(CompareError):
-    """No rollouts were given, or none with samples."""
+    """No rollouts were given, or none that can be replayed.
 
-    def __init__(self) -> None:
-        super().__init__("no rollout to compare: give at least one bag with joint_states and joint_commands")
+    Args:
+      reasons: why each rollout given cannot be, by its id.
+    """
+
+    def __init__(self, reasons: Mapping[str, str]):
+        told = [f"{name} {reason}" for name, reason in list(reasons.items())[:3]]
+        more = f" and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+        found = f": {', '.join(told)}{more}" if told else ""
+        super().__init__(f"no rollout to compare{found}; give at least one bag with joint_states and joint_commands")
 
 
 class WrongRigError(CompareError):

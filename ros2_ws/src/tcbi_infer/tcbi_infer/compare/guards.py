@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from tcbi_infer.compare.signals import reference
+from tcbi_infer.gaps import unusable
 from tcbi_sim.measurement import Measurement
 
 MOVES = np.radians(2.0)  # rad, standard deviation of a command that counts as motion
-GAP = 0.2  # s
 SWAPPED = 0.7  # correlation of a joint with the command that it is said to follow; less comes about by chance
 
 
@@ -35,7 +35,14 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
 
 def check_recording(m: Measurement) -> list[str]:
     """Findings about one recording, without any model."""
-    return [*_clock(m), *_units(m), *_echo(m), *_wiring(m), *_lag(m)]
+    return [
+        *_clock(m),
+        *unusable(m, m.time).sentences,
+        *_units(m),
+        *_echo(m),
+        *_wiring(m),
+        *_lag(m),
+    ]
 
 
 def _clock(m: Measurement) -> list[str]:
@@ -47,8 +54,6 @@ def _clock(m: Measurement) -> list[str]:
         findings.append("Time stamps repeat or go backwards")
     if abs(m.time[0]) > 1.0:
         findings.append("The samples start more than 1 s away from the rollout's begin: another clock, or a cut bag")
-    if np.max(steps) > GAP:
-        findings.append(f"There is a gap of {np.max(steps):.1f} s in the samples")
     median, mean = float(np.median(steps)), float(np.mean(steps))
     if mean > 1.2 * median:
         findings.append(f"The stream claims {1 / median:.0f} Hz but delivers {1 / mean:.0f} Hz")

@@ -8,10 +8,13 @@ import numpy as np
 from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
 from tcbi_infer.compare.replicates import Replicates, find_replicates
 from tcbi_infer.compare.signals import Layout
+from tcbi_infer.gaps import unusable
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model
 from tcbi_sim.rig import load_rig
+
+LEAST_SAMPLES = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,9 +47,9 @@ class Replay:
           NothingToCompareError: there are no usable rollouts.
           WrongRigError: a rollout is of another robot.
         """
-        usable = [m for m in measurements if len(m.time) >= 10 and len(m.commands.time)]
+        usable = [m for m in measurements if not _useless(m)]
         if not usable:
-            raise NothingToCompareError
+            raise NothingToCompareError({m.rollout_id: _useless(m) for m in measurements})
         rig = load_rig(model.rig)
         for m in usable:
             if m.rig != model.rig or m.joint_names != rig.joint_names:
@@ -59,6 +62,7 @@ class Replay:
         measured = np.stack([layout.extract(m) for m in sampled])
         for r, (m, end) in enumerate(zip(usable, ends, strict=True)):
             measured[r, (time > end + 1e-6) | (time < m.time[0] - 1.0 / rate)] = np.nan
+            measured[r, _spoilt(layout, m, time)] = np.nan
         replicates = tuple(find_replicates(usable))
         scenarios, commands = zip(*[_asked(usable, g, float(time[-1])) for g in replicates], strict=True)
         return Replay(model.rig, layout, sampled, time, measured, replicates, scenarios, commands)
@@ -101,6 +105,23 @@ class Replay:
         """(S, T, C) mean over the replicates of each set, and (S,) how many they were."""
         mean = np.stack([self.measured[list(g.members)].mean(axis=0) for g in self.replicates])
         return mean, np.array([len(g.members) for g in self.replicates])
+
+
+def _useless(m: Measurement) -> str:
+    """Why a rollout cannot be replayed, or ""."""
+    if not len(m.commands.time):
+        return "has no joint_commands"
+    return f"has only {len(m.time)} samples" if len(m.time) < LEAST_SAMPLES else ""
+
+
+def _spoilt(layout: Layout, m: Measurement, time: np.ndarray) -> np.ndarray:
+    """(T, C) bool: what the gaps of a rollout leave nothing to say about."""
+    found = unusable(m, time)
+    result = np.where(layout.averaged, found.averages[:, None], found.samples[:, None])
+    for i, channel in enumerate(layout.channels):
+        if channel.group.name in found.signals:
+            result[:, i] |= found.signals[channel.group.name]
+    return result
 
 
 def _asked(measurements: Sequence[Measurement], group: Replicates, duration: float) -> tuple[Scenario, Commands]:

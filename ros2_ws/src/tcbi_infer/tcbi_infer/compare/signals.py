@@ -99,6 +99,11 @@ class Layout:
         """(n,) indices of the channels of these groups."""
         return np.array([i for i, c in enumerate(self.channels) if c.group in groups], dtype=int)
 
+    @property
+    def averaged(self) -> np.ndarray:
+        """(C,) bool: whether a channel is compared as an average over some samples."""
+        return np.array([c.group.window > 0 for c in self.channels], dtype=bool)
+
     def index(self, name: str) -> int:
         """Index of a channel by its name."""
         return next(i for i, c in enumerate(self.channels) if c.name == name)
