@@ -79,8 +79,10 @@ class Card:
                 raise PolicyDamaged(f"card format is not {CARD_FORMAT}; it was written by another version of tcbi")
             data["layout"] = Layout.from_json(data["layout"])
             return Card(**data)
-        except (ValueError, KeyError, TypeError, AttributeError) as e:
-            raise PolicyDamaged(f"not a policy card: {e.__class__.__name__}: {e}") from e
+        except KeyError as e:
+            raise PolicyDamaged(f"its card lacks {e}; copy both files again") from e
+        except (ValueError, TypeError, AttributeError) as e:
+            raise PolicyDamaged(f"its card is none ({e}); copy both files again") from e
 
 
 @dataclass(frozen=True)

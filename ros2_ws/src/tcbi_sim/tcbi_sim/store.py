@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from tcbi_sim.errors import SimError, UnknownNameError
 from tcbi_sim.mjcf import to_xml
@@ -134,8 +133,7 @@ class ModelStore:
             head = json.loads((folder / "model.json").read_text())
             if head["format"] != FORMAT:
                 raise StoreError(f"{folder / 'model.json'} has format {head['format']}, this version reads {FORMAT}")
-            with xr.open_dataset(folder / "posterior.nc", group="particles") as particles:
-                values, log_weights = particles["value"].values, particles["log_weight"].values
+            values, log_weights = read_particles(folder / "posterior.nc")
             model = Model(
                 head["version"],
                 head["rig"],
@@ -153,8 +151,18 @@ class ModelStore:
             raise StoreError(f"cannot read the model in {folder}: {e}; remove the folder or restore its files") from e
 
 
+def read_particles(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Particles (N, P) and log-weights (N,) of a saved model."""
+    import xarray as xr  # takes a second, which nodes on a built-in model need not wait for
+
+    with xr.open_dataset(path, group="particles") as particles:
+        return particles["value"].values, particles["log_weight"].values
+
+
 def write_posterior(path: Path, model: Model, seed: int = 0) -> None:
     """Particles with log-weights, and equally weighted draws that ArviZ opens (`az.from_netcdf`)."""
+    import xarray as xr
+
     draws = model.sample(np.random.default_rng(seed), DRAWS)
     posterior = xr.Dataset(
         {p.name: (("chain", "draw"), draws[None, :, i], {"units": p.unit}) for i, p in enumerate(model.parameters)}

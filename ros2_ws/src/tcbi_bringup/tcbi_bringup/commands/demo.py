@@ -52,11 +52,7 @@ def _seed(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Tell the story, print the table, name the report."""
-    from tcbi_bringup.demo import page
-    from tcbi_bringup.demo.plan import FULL, QUICK
     from tcbi_bringup.demo.robot import Robot, running
-    from tcbi_bringup.demo.story import Story
-    from tcbi_bringup.emulated_robot.physics import Specimen
     from tcbi_sim.store import ModelStore
 
     robot = Robot(args.seed, args.hidden, args.strength)
@@ -64,9 +60,16 @@ def run(args: argparse.Namespace) -> int:
     folder = folder.expanduser().resolve()
     folder.mkdir(parents=True, exist_ok=True)
     console.note(f"everything goes to {folder}")
-    with running(robot, folder, folder / "store") as (lab, _):
+    with running(robot, folder, folder / "store") as (lab, graph):
+        from tcbi_bringup.demo.plan import FULL, QUICK  # seconds of imports, while the nodes start
+        from tcbi_bringup.demo.story import Story
+
+        lab.wait(graph.check)
         os.nice(NICENESS)  # the robot moves in real time, whatever is computed beside it
         outcome = Story(robot, QUICK if args.quick else FULL, folder, lab).tell()
+    from tcbi_bringup.demo import page
+    from tcbi_bringup.emulated_robot.physics import Specimen
+
     truth = Specimen.of(args.seed, args.hidden or None, args.strength).truth()
     report = page.write(outcome, truth, folder / "report.html")
     if args.json:

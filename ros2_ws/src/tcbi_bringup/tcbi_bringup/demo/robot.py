@@ -62,17 +62,15 @@ def processes(robot: Robot, folder: Path, store: Path, lab: Path) -> list[NodePr
 
 @contextlib.contextmanager
 def running(robot: Robot, folder: Path, store: Path) -> Iterator[tuple[LabNode, Graph]]:
-    """The graph in a ROS domain of its own, ready to record; stopped cleanly at the end.
+    """The graph in a ROS domain of its own, about to start; stopped cleanly at the end.
 
-    Raises:
-      LaunchError: a process failed, with the last lines of its log.
+    `lab.wait(graph.check)` waits until it can record, and raises LaunchError where a process failed.
     """
     with _free_domain() as domain_id, contextlib.ExitStack() as stack:
         short = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tcbi-lab-")))
         graph = Graph(processes(robot, folder, store, short), domain_id=domain_id, log_dir=folder / "log", restart=True)
         stack.enter_context(graph)
         lab = stack.enter_context(laboratory(domain_id))
-        lab.wait(graph.check)
         yield lab, graph
 
 

@@ -183,15 +183,20 @@ class Story:
     def measure(self) -> None:
         """The task again, on new rollouts; every model version on the motions that no fit has seen."""
         out = self.out
-        accepted = out.retraining is not None and out.retraining.accepted
         with console.progress("deploying", total=self.plan.deployments) as advance:
-            out.after = self._deploy(out.retraining.policy if accepted else FIRST_POLICY, "after", advance)
+            robot = self._run_meanwhile(lambda: self.run_task_again(advance))
+            for model in out.models:
+                out.errors[model.version] = compare(model, out.unseen, particles=PARTICLES)
+            robot.result()
         change = f"return {mean_return(out.before):.0f} -> {mean_return(out.after):.0f}"
         self.say(f"{change}, final inclination {tilt(out.before):.1f} -> {tilt(out.after):.1f} deg on the robot")
-        for model in out.models:
-            out.errors[model.version] = compare(model, out.unseen, particles=PARTICLES)
         ladder = ", ".join(f"{v} {c.error_over_floor:.1f}" for v, c in out.errors.items())
         self.say(f"error over the noise floor on motions that no fit has seen: {ladder}")
+
+    def run_task_again(self, advance: Advance) -> None:
+        """The task with the policy that is best now."""
+        accepted = self.out.retraining is not None and self.out.retraining.accepted
+        self.out.after = self._deploy(self.out.retraining.policy if accepted else FIRST_POLICY, "after", advance)
 
     # -- inside ---------------------------------------------------------------------------------------------------
 
