@@ -3,6 +3,8 @@
 import resource
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from tcbi_bringup.launcher import Graph, NodeProcess
@@ -154,6 +157,38 @@ def test_cancelling_aborts_the_rollout_and_keeps_what_was_recorded(start_graph, 
     m = read_measurement(tmp_path / "bags" / events[-1].rollout_id)
     assert len(m.time) > 50 and any("aborted (cancelled)" in note for note in m.notes)
     assert m.scenario.duration < 8.0
+
+
+def test_a_policy_that_stops_in_a_rollout_ends_it_as_aborted(start_graph, peer, tmp_path):
+    start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
+    told = peer.collect(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS)
+    collection = Collection(peer, task="balance", number=2, seed=1)
+    peer.wait_until(lambda: len(told) > 3, "commands")
+    peer.call(names.ENABLE_POLICY, SetBool.Request(data=False), SetBool)
+    status, result = collection.result()
+    assert status == GoalStatus.STATUS_ABORTED and "has sent no joint_commands" in result.message
+    (bag,) = (tmp_path / "bags").glob("balance-*")
+    m = read_measurement(bag)
+    assert m.scenario.duration < 7 and any("aborted" in note for note in m.notes)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_collect_that_is_ended_by_a_signal_closes_its_rollout_and_asks_for_no_more(
+    start_graph, peer, tmp_path, domain, number
+):
+    start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
+    events = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
+    told = peer.collect(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS)
+    command = [sys.executable, "-m", "tcbi_bringup.cli", "collect", "--task", "balance", "--n", "3"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as collect:
+        peer.wait_until(lambda: len(told) > 3, "commands")
+        collect.send_signal(number)
+        peer.wait_until(lambda: events[-1].kind == RolloutEvent.ABORT, "ABORT")
+        _, error = collect.communicate(timeout=60)
+    assert collect.returncode == (1 if number == signal.SIGINT else 128 + signal.SIGTERM), error
+    assert "Traceback" not in error
+    (bag,) = (tmp_path / "bags").glob("balance-*")
+    assert any("aborted (cancelled)" in note for note in read_measurement(bag).notes)
 
 
 def test_a_missing_node_is_named(start_graph, peer, tmp_path):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import NodeProcess
+from tcbi_policy.artefact import find_policy
 
 SIM, EMULATED = "sim", "emulated"
 
@@ -40,10 +41,11 @@ class GraphOptions:
     recordings: Path | None = None
 
     def check(self) -> None:
-        """Refuse what does not go together.
+        """Refuse what does not go together, and a policy that no node could load.
 
         Raises:
           LaunchError: in one line.
+          PolicyError: the policy does not exist, is damaged, or is another robot's.
         """
         if self.lockstep and self.robot != SIM:
             raise LaunchError(
@@ -54,6 +56,8 @@ class GraphOptions:
                 f"--robot: got {self.robot!r}, allowed is sim, emulated, or a serial port that exists; "
                 f"{_ports_present()}; switch the robot on and pair it, then call again"
             )
+        if self.policy:
+            find_policy(self.policy, self.store)
 
 
 def _ports_present() -> str:

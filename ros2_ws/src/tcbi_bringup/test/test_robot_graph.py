@@ -10,6 +10,9 @@ import pytest
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes
+from tcbi_policy.artefact import find_policy, save_policy
+from tcbi_policy.errors import PolicyDamaged, PolicyMisfit, PolicyNotFound
+from tcbi_policy.layout import HEXAPOD
 
 EVERYTHING = {"policy": "gait:tripod", "task": "forward", "namespace": "left"}
 
@@ -70,3 +73,28 @@ def test_a_recorder_that_is_told_where_to_record_leaves_the_store_s_folder_to_ot
 
     assert folder(recordings=tmp_path) == str(tmp_path)
     assert folder() == str(Path("store") / "rollouts")
+
+
+@pytest.mark.parametrize("robot", ["sim", "emulated"])
+def test_a_policy_that_does_not_exist_is_refused_before_anything_starts(robot, tmp_path):
+    with pytest.raises(PolicyNotFound, match="'nonsense' does not exist; there are"):
+        GraphOptions(store=tmp_path, robot=robot, policy="nonsense").check()
+    GraphOptions(store=tmp_path, robot=robot, policy="gait:tripod").check()
+
+
+def test_a_policy_of_another_robot_is_refused_by_the_name_of_what_differs(tmp_path):
+    stem = tmp_path / "policies" / "other"
+    layout = dataclasses.replace(HEXAPOD, action=("lf_hip", *HEXAPOD.action[1:]), rate_hz=10.0)
+    shipped = find_policy("balance")
+    save_policy(stem, shipped.mlp, dataclasses.replace(shipped.card, layout=layout))
+    with pytest.raises(PolicyMisfit, match=r"needs lf_hip.*lacks lf_coxa.*10 Hz, the robot's is 5 Hz"):
+        GraphOptions(store=tmp_path, policy="other").check()
+
+
+def test_a_policy_whose_card_is_none_says_which_entry_is_missing(tmp_path):
+    stem = tmp_path / "policies" / "bare"
+    shipped = find_policy("balance")
+    save_policy(stem, shipped.mlp, shipped.card)
+    stem.with_suffix(".json").write_text("{}")
+    with pytest.raises(PolicyDamaged, match="its card lacks 'format'"):
+        GraphOptions(store=tmp_path, policy="bare").check()

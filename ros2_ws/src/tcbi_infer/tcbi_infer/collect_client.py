@@ -3,7 +3,7 @@
     with CollectClient(domain_id=0) as client:
         result, succeeded = client.collect(Request("balance", 5, seed=1))
 
-Ctrl-C while it waits cancels the goal: the rollout that runs is aborted, those before it stay.
+Ctrl-C while it waits, or SIGTERM, cancels the goal: the rollout that runs is aborted, those before it stay.
 """
 
 import time
@@ -76,20 +76,32 @@ class CollectClient:
                 "or let --robot start one"
             )
         sent = self._client.send_goal_async(_goal(request), feedback_callback=self._on_feedback)
-        if not self._until(sent.done, ready_s, self.while_waiting):
-            raise RecordingError(f"the recorder did not answer within {ready_s:g} s; look at the log of recorder_node")
-        handle = sent.result()
-        if not handle.accepted:
-            raise RecordingError("the recorder is busy with another rollout; wait for its end, or cancel it")
-        ended = handle.get_result_async()
         try:
+            if not self._until(sent.done, ready_s, self.while_waiting):
+                raise RecordingError(
+                    f"the recorder did not answer within {ready_s:g} s; look at the log of recorder_node"
+                )
+            if not sent.result().accepted:
+                raise RecordingError("the recorder is busy with another rollout; wait for its end, or cancel it")
+            ended = sent.result().get_result_async()
             self._until(ended.done, while_waiting=self._recorder_watch())
         except KeyboardInterrupt:
-            handle.cancel_goal_async()
-            if not self._until(ended.done, CANCEL_S):
+            ended = self._cancelled(sent)
+            if ended is None:
                 raise
+        except BaseException:  # the signal to end, or the graph has failed: nobody would take the rollouts any more
+            self._cancelled(sent)
+            raise
         answer = ended.result()
         return answer.result, answer.status == GoalStatus.STATUS_SUCCEEDED
+
+    def _cancelled(self, sent: Any) -> Any | None:
+        """Take a goal back, and wait until its rollout is closed; its end, or None if it does not come in time."""
+        if not self._client.server_is_ready() or not self._until(sent.done, CANCEL_S) or not sent.result().accepted:
+            return None
+        sent.result().cancel_goal_async()
+        ended = sent.result().get_result_async()
+        return ended if self._until(ended.done, CANCEL_S) else None
 
     def _recorder_watch(self) -> Callable[[], None]:
         """What raises once the recorder has been away for GONE_S."""

@@ -34,6 +34,7 @@ CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more mean
 LEAD_NS = 300_000_000  # from the publication of BEGIN to its stamp, where time runs by itself
 STATUS_S = 3.0  # wall time for the policy node to say what is loaded
 FEEDBACK_S = 0.5  # wall time
+COMMAND_SILENCE_S = 1.0  # ROS time, five control periods
 HANDS_S = 2.0  # to discover whether somebody places the robot
 RESETS, PAUSE_S = 4, 1.5  # a real robot may be connecting still, or have missed a reply: tried so often, so far apart
 
@@ -162,6 +163,8 @@ class Collector:
                     f"no {names.JOINT_STATES} for {node.values.silence_timeout_s:g} s; is the robot's node "
                     "(sim_node or driver_node) still running?"
                 )
+            if request.policy != NO_POLICY:
+                self._require_commands()
             if time.monotonic() - told > FEEDBACK_S:
                 told = time.monotonic()
                 self._tell(goal, index, request.number, left)
@@ -210,6 +213,15 @@ class Collector:
     def _require_recording(self) -> None:
         if self.node.recorder.rollout is None:
             raise RecordingError(self.node.fault or "the rollout is no longer recorded")
+
+    def _require_commands(self) -> None:
+        """A policy that has stopped leaves the robot limp: what comes then is no rollout of it."""
+        silent = 1e-9 * (self.node.get_clock().now().nanoseconds - self.node.commanded_ns)
+        if silent > COMMAND_SILENCE_S:
+            raise RecordingError(
+                f"the policy has sent no {names.JOINT_COMMANDS} for {silent:.1f} s and the robot is limp; the log of "
+                "policy_node says why"
+            )
 
     def _refuse_if_cancelled(self, goal: Any) -> None:
         if goal.is_cancel_requested:

@@ -67,6 +67,7 @@ class RecorderNode(Node):
         self.fault = ""  # the last failure of the disk
         self.lost = 0  # messages that the middleware dropped
         self.heard_joints_s = 0.0  # wall time
+        self.commanded_ns = 0  # stamp of the last command; where the rollout has none yet, its begin
         self.bags: list[Path] = []
         self.poses: list[bytes] = []  # first and newest of the present rollout
         self.distance: float | None = None  # the operator's entry
@@ -128,6 +129,8 @@ class RecorderNode(Node):
             stamp = now
         if topic.endswith(names.JOINT_STATES):
             self.heard_joints_s = time.monotonic()
+        if topic.endswith(names.JOINT_COMMANDS):
+            self.commanded_ns = max(self.commanded_ns, stamp)
         rollout = self.recorder.rollout
         if topic.endswith(names.TRACKER_POSE) and self._within(rollout, stamp):
             self.poses = [*self.poses[:1], data]
@@ -181,7 +184,7 @@ class RecorderNode(Node):
 
     def open(self, folder: RecordingFolder, rollout_id: str, begin: int, data: bytes, end: int | None = None) -> None:
         """Begin a bag; a failure is said and shown in diagnostics."""
-        self.poses, self.distance, self._foreign_end = [], None, None
+        self.poses, self.distance, self._foreign_end, self.commanded_ns = [], None, None, begin
         try:
             self.recorder.begin(folder, rollout_id, begin, data, end, self.values.min_free_mb)
             self.fault = ""

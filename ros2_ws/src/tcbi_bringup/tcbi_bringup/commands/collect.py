@@ -110,6 +110,7 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
     options = GraphOptions(
         robot=args.robot,
         task=args.task,
+        policy=args.policy if args.policy != "none" else "",
         model=args.model or "latest",
         lockstep=args.robot == "sim" and not args.realtime,
         namespace=args.namespace.strip("/"),

@@ -199,8 +199,8 @@ def ordered(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
         worst = -np.diff(stamp).min() * 1e-9
         often = "once" if back.size == 1 else f"{back.size} times"
         notes.append(
-            f"{name}: time goes back {often}, by up to {worst:.3g} s (a clock was set); only the longest stretch is used, "
-            f"{len(order)} of {len(stamp)} samples"
+            f"{name}: time goes back {often}, by up to {worst:.3g} s (a clock was set); only the longest "
+            f"stretch is used, {len(order)} of {len(stamp)} samples"
         )
     moved = int(np.sum(np.diff(stamp[order]) < 0))
     order = order[np.argsort(stamp[order], kind="stable")]
