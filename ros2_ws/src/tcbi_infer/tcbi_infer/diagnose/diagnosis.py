@@ -11,22 +11,20 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tcbi_infer.compare.comparison import compare, error_over_floor
+from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard
-from tcbi_infer.compare.locate import worst_moments
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import MIN_KINDS, Split, split
-from tcbi_infer.compare.signals import JOINT
-from tcbi_infer.diagnose.evidence import Diagnosis, Evidence, Moment, ParameterEstimate
+from tcbi_infer.diagnose.evidence import Diagnosis, Evidence
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_unit
-from tcbi_infer.diagnose.heldout import HeldOut, held_out, intervals
+from tcbi_infer.diagnose.judge import Judge, Judged, screened
 from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
-from tcbi_infer.diagnose.screen import Directions, Screen, paired_statistic, simulate_directions
+from tcbi_infer.diagnose.screen import Directions, Screen, simulate_directions
 from tcbi_infer.diagnose.starts import start_points
-from tcbi_infer.diagnose.verdict import accept, rivals, rule
+from tcbi_infer.diagnose.verdict import accept, ranked, rule
 from tcbi_sim.effects import candidates
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -111,9 +109,6 @@ class _Run:
     def go(self) -> Diagnosis:
         """All stages in order."""
         coarse, nuisance = self.fit_base()
-        self.coarse = coarse
-        self.mimicked: dict[str, np.ndarray] = {}
-        self.held: dict[str, HeldOut] = {}
         self.progress("screening effects", 0.25)
         directions = simulate_directions(
             self.problem,
@@ -126,12 +121,14 @@ class _Run:
             self._screened(),
         )
         base = self._refit(coarse, nuisance)
+        judge = Judge(self.problem, self.split, self.floor, nuisance, self.settings.timestep)
+        before = judge.judge(base)
         if not directions.uses:
-            return self._conclude(base, nuisance, [], Null(np.inf, np.zeros(0), 0), directions, {})
+            return self._conclude(judge, before, self._drift(coarse, base), [], {}, Null.of_no_search(), directions)
         screen = Screen(self.problem, coarse, nuisance, directions, self.sets)
         data = screen.targets(coarse.residual[None])
         gains = screen.held_out(data)[:, :, 0]
-        self.mimicked = self._mimicked(screen, coarse)
+        mimicked = self._mimicked(screen, coarse)
         chosen = self._choose(directions, gains)
         fits = self._fit_chosen(chosen, screen, data, coarse, nuisance)
         self.progress("simulating nothing missing", 0.85)
@@ -140,8 +137,18 @@ class _Run:
             self.problem, screen, nuisance, leftover, self.sets, np.random.default_rng(self.settings.seed)
         )
         alike = self._alike(screen, data, chosen)
-        evidence = self._evidence(base, nuisance, fits, directions, gains)
-        return self._conclude(base, nuisance, evidence, null, directions, alike)
+        after = {directions.uses[u]: judge.judge(fine) for u, (_, fine) in fits.items()}
+        evidence = [screened(use, gains[:, u], before.error) for u, use in enumerate(directions.uses) if u not in fits]
+        for u, (rough, fine) in fits.items():
+            use = directions.uses[u]
+            drift = self._drift(rough, fine) + mimicked.get(use, 0.0)
+            evidence.append(judge.evidence(use, after[use], before, drift))
+        judged = []
+        for e in evidence:
+            accepted, reason = accept(e, null.threshold)
+            judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
+        drift = self._drift(coarse, base) + mimicked.get("", 0.0)
+        return self._conclude(judge, before, drift, ranked(judged), after, null, directions)
 
     def fit_base(self) -> tuple[Fit, Nuisance]:
         """The base model's parameters from a grid of starts, then again with scatter between joints allowed for."""
@@ -210,61 +217,6 @@ class _Run:
             for a in chosen
         }
 
-    def _evidence(
-        self, base: Fit, nuisance: Nuisance, fits: dict[int, tuple[Fit, Fit]], directions: Directions, gains: np.ndarray
-    ) -> list[Evidence]:
-        before = held_out(self.problem, base, nuisance, self.sets, self.settings.timestep)
-        self.base_held = before
-        error_before = self._unseen_error(base, before)
-        result = []
-        for u, use in enumerate(directions.uses):
-            if u in fits:
-                fit = fits[u][1]
-                held = held_out(self.problem, fit, nuisance, self.sets, self.settings.timestep)
-                error_after = self._unseen_error(fit, held)
-                self.held[use] = held
-                drift = self._drift(fits[u][0], fit) + self.mimicked.get(use, 0.0)
-                gains_held = held.score - before.score
-                result.append(self._refined(use, base, fit, held, gains_held, error_before, error_after, drift))
-            else:
-                result.append(_screened_only(use, gains[:, u], error_before))
-        return sorted(result, key=lambda e: (not e.refined, -e.elpd_gain))
-
-    def _refined(
-        self,
-        use: str,
-        base: Fit,
-        fit: Fit,
-        held: HeldOut,
-        gains: np.ndarray,
-        error_before: float,
-        error_after: float,
-        drift: np.ndarray,
-    ) -> Evidence:
-        low, high, covariance = intervals(fit, held, drift, error_after)
-        count = len(base.unit)
-        lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)
-        parameters = tuple(
-            ParameterEstimate(p.name, p.unit, float(fit.parameters[i]), float(lows[i]), float(highs[i]), p.null)
-            for i, p in enumerate(fit.model.parameters)
-        )
-        return Evidence(
-            effect=use.partition(":")[0],
-            use=use,
-            elpd_gain=float(gains.sum()),
-            elpd_se=float(np.sqrt(len(gains)) * np.std(gains, ddof=1)) if len(gains) > 1 else float("nan"),
-            statistic=float(paired_statistic(gains)),
-            error_before=error_before,
-            error_after=error_after,
-            parameters=parameters[count:] if use else parameters,
-            refined=True,
-            converged=fit.converged,
-            gains=tuple(float(g) for g in gains),
-            names=fit.model.names,
-            values=tuple(float(v) for v in fit.parameters),
-            spread=tuple(tuple(float(x) for x in row) for row in covariance),
-        )
-
     def _mimicked(self, screen: Screen, coarse: Fit) -> dict[str, np.ndarray]:
         """For each use, how far the coarse time step alone shifts its optimum, where no finer fit measures it."""
         if self.settings.timestep < self.settings.coarse:
@@ -278,55 +230,21 @@ class _Run:
         rest = self.settings.timestep / max(self.settings.coarse - self.settings.timestep, self.settings.timestep)
         return rest * np.abs(fine.unit - coarse.unit)
 
-    def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
-        """Error over the floor on sealed motions, cross-validated where none are sealed; without joint scatter."""
-        sealed = list(self.split.sealed)
-        if sealed:
-            predicted = self.replay.predict(fit.model, fit.parameters[None], sealed, self.settings.timestep)[0]
-            return self._rollout_error(predicted, sealed)
-        return self._rollout_error(self.problem.observed[self.sets] - held.residual, list(self.sets))
-
-    def _rollout_error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
-        residual = [
-            self.replay.measured[m] - predicted[i]
-            for i, s in enumerate(sets)
-            for m in self.replay.replicates[s].members
-        ]
-        return error_over_floor(self.replay.layout, np.array(residual), self.floor.values)
-
     def _conclude(
         self,
-        base: Fit,
-        nuisance: Nuisance,
-        evidence: list[Evidence],
+        judge: Judge,
+        before: Judged,
+        drift: np.ndarray,
+        ranking: list[Evidence],
+        after: dict[str, Judged],
         null: Null,
         directions: Directions,
-        alike: dict[str, tuple[str, ...]],
     ) -> Diagnosis:
-        kinds = len(self.split.folds)
-        before = (
-            held_out(self.problem, base, nuisance, self.sets, self.settings.timestep)
-            if not evidence
-            else self.base_held
-        )
-        judged = []
-        for e in evidence:
-            accepted, reason = accept(e, null.threshold)
-            judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
-        ranking = _mark_rivals(judged)
-        unseen = self._unseen_error(base, before)
-        held_error = self._rollout_error(self.problem.observed[self.sets] - before.residual, list(self.sets))
-        ruling = rule(ranking, held_error, 0.0, kinds)
-        no_gain = np.zeros(len(before.score))
-        drift = self._drift(self.coarse, base) + self.mimicked.get("", 0.0)
-        base_evidence = self._refined("", base, base, before, no_gain, unseen, unseen, drift)
-        return self._package(ruling, ranking, null, directions, base, base_evidence, kinds)
-
-    def _package(self, ruling, ranking, null, directions, base, base_evidence, kinds) -> Diagnosis:
-        sealed = [self.replay.measurements[m] for s in self.split.sealed for m in self.replay.replicates[s].members]
-        shown = sealed or list(self.replay.measurements)
-        errors = {"unfitted": compare(self.model, shown, particles=0).error_over_floor} if shown else {}
-        errors["base"] = base_evidence.error_before
+        """Rule, and put together everything that the verdict rests on."""
+        kinds, sealed = len(self.split.folds), judge.sealed
+        ruling = rule(ranking, judge.held_out_error(before), kinds)
+        unfitted = compare(self.model, sealed or list(self.replay.measurements), particles=0).error_over_floor
+        errors = {"unfitted": unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
             errors[best.use] = best.error_after
@@ -346,34 +264,9 @@ class _Run:
             untestable=directions.untestable,
             guards=tuple(guard(self.measurements)),
             claims=tuple(self._claims(kinds, sealed, null)),
-            base=base_evidence,
-            moments=tuple(self._moments(best)),
+            base=judge.evidence("", before, before, drift),
+            moments=tuple(judge.moments(before, after[best.use])) if best else (),
         )
-
-    def _moments(self, best: Evidence | None, count: int = 4, span_s: float = 1.5) -> list[Moment]:
-        """The worst moments of the base model, held out, with and without the best candidate."""
-        if best is None:
-            return []
-        layout, before = self.replay.layout, self.base_held.residual
-        span = round(span_s * layout.rate)
-        found = []
-        for s, t, c in worst_moments(before, self.floor.values, layout.where(JOINT), count, span):
-            cut = slice(t, t + span)
-            observed = self.problem.observed[self.sets[s], cut, c]
-            group = self.replay.replicates[self.sets[s]]
-            found.append(
-                Moment(
-                    layout.channels[c].name,
-                    layout.channels[c].group.unit,
-                    self.replay.measurements[group.members[0]].rollout_id,
-                    self.replay.time[cut],
-                    observed,
-                    observed - before[s, cut, c],
-                    observed - self.held[best.use].residual[s, cut, c],
-                    float(self.floor.values[c]),
-                )
-            )
-        return found
 
     def _claims(self, kinds: int, sealed: Sequence[Measurement], null: Null) -> list[str]:
         claims = [f"{kinds} kinds of motion were held out in turn; {len(sealed)} rollouts stayed sealed until the end."]
@@ -389,33 +282,6 @@ class _Run:
         if not self.floor.from_replicates:
             claims.append(self.floor.statement)
         return claims
-
-
-def _screened_only(use: str, gains: np.ndarray, error_before: float) -> Evidence:
-    se = float(np.sqrt(len(gains)) * np.std(gains, ddof=1)) if len(gains) > 1 else float("nan")
-    return Evidence(
-        effect=use.partition(":")[0],
-        use=use,
-        elpd_gain=float(gains.sum()),
-        elpd_se=se,
-        statistic=float(paired_statistic(gains)),
-        error_before=error_before,
-        error_after=float("nan"),
-        parameters=(),
-        refined=False,
-        converged=False,
-        gains=tuple(float(g) for g in gains),
-    )
-
-
-def _mark_rivals(ranking: list[Evidence]) -> list[Evidence]:
-    """Adds to each accepted candidate those that the held-out scores cannot tell from it."""
-    accepted = [e for e in ranking if e.accepted]
-    marked = []
-    for e in ranking:
-        near = {r.use for r in rivals(e, [o for o in accepted if o is not e])} if e.accepted else set()
-        marked.append(dataclasses.replace(e, confused_with=tuple(sorted(near | set(e.alike)))))
-    return sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
 
 
 __all__ = ["QUICK", "Settings", "diagnose"]

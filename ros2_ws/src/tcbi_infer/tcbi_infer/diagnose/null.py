@@ -33,6 +33,11 @@ class Null:
     maxima: np.ndarray
     kinds: int
 
+    @staticmethod
+    def of_no_search() -> "Null":
+        """Where there was nothing to search."""
+        return Null(np.inf, np.zeros(0), 0)
+
 
 def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
     """(D, S, T, C) noise of the sets' means, resampled from differences between replicates where there are any."""

@@ -62,22 +62,30 @@ def _richer_twin(best: Evidence, other: Evidence) -> bool:
     return other.use in best.alike and len(other.parameters) > len(best.parameters)
 
 
-def rule(ranking: Sequence[Evidence], base_error: float, unexplained_limit: float, kinds: int) -> Ruling:
+def ranked(judged: Sequence[Evidence]) -> list[Evidence]:
+    """Best first; each accepted candidate with those that the held-out scores cannot tell from it."""
+    accepted = [e for e in judged if e.accepted]
+    marked = []
+    for e in judged:
+        near = {r.use for r in rivals(e, [o for o in accepted if o is not e])} if e.accepted else set()
+        marked.append(dataclasses.replace(e, confused_with=tuple(sorted(near | set(e.alike)))))
+    return sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
+
+
+def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
     """The verdict.
 
     Args:
       ranking: candidates, best first, acceptance decided.
       base_error: held-out error over the floor of the refitted base model.
-      unexplained_limit: error over the floor that "nothing missing" explains in 95 % of its simulations.
       kinds: of motion.
     """
     accepted = [e for e in ranking if e.accepted]
-    limit = max(unexplained_limit, WELL_PREDICTED)
     if not accepted:
-        return _none_accepted(ranking, base_error, limit, kinds)
+        return _none_accepted(ranking, base_error, kinds)
     best = accepted[0]
     left, explained = best.error_after, _explained(best)
-    if left > limit and explained < EXPLAINED:
+    if left > WELL_PREDICTED and explained < EXPLAINED:
         return Ruling(
             OUTSIDE_LIBRARY,
             (),
@@ -94,7 +102,7 @@ def rule(ranking: Sequence[Evidence], base_error: float, unexplained_limit: floa
             (best.use, *(e.use for e in equal)),
             f"Something is missing, but these rollouts cannot tell which: {names}.{caveat}",
         )
-    still = f" The remaining error is {left:.1f} times the floor." if left > limit else ""
+    still = f" The remaining error is {left:.1f} times the floor." if left > WELL_PREDICTED else ""
     return Ruling(
         EFFECT,
         (best.use,),
@@ -108,17 +116,17 @@ def _explained(e: Evidence) -> float:
     return (e.error_before - e.error_after) / max(e.error_before - 1.0, 1e-6) if e.refined else 0.0
 
 
-def _none_accepted(ranking: Sequence[Evidence], base_error: float, limit: float, kinds: int) -> Ruling:
+def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
     best = ranking[0] if ranking else None
     hint = f" The best candidate was {best.use}: {best.reason}." if best else ""
-    if base_error > limit and best and _explained(best) >= EXPLAINED:
+    if base_error > WELL_PREDICTED and best and _explained(best) >= EXPLAINED:
         return Ruling(
             CANNOT_TELL,
             (best.use,),
             f"Something is missing: the refitted model errs by {base_error:.1f} times the noise floor. {best.use} "
             f"explains {100 * _explained(best):.0f} % of the excess, but is not certain: {best.reason}.",
         )
-    if base_error > limit:
+    if base_error > WELL_PREDICTED:
         return Ruling(
             OUTSIDE_LIBRARY,
             (),

@@ -1,0 +1,148 @@
+"""What a fit is worth: its error on motions that it has not seen, its intervals, its gain over the base model.
+
+judge = Judge(problem, split, floor, nuisance, timestep)
+before, after = judge.judge(base), judge.judge(fit)
+judge.evidence("backlash", after, before, drift)
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_infer.compare.comparison import error_over_floor
+from tcbi_infer.compare.locate import worst_moments
+from tcbi_infer.compare.noise import NoiseFloor
+from tcbi_infer.compare.replicates import Split
+from tcbi_infer.compare.signals import JOINT
+from tcbi_infer.diagnose.evidence import Evidence, Moment, ParameterEstimate
+from tcbi_infer.diagnose.fit import Fit, Nuisance
+from tcbi_infer.diagnose.heldout import HeldOut, held_out, intervals
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.screen import paired_statistic
+from tcbi_sim.measurement import Measurement
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """A fit and its predictions of motions that it was not fitted to."""
+
+    fit: Fit
+    held: HeldOut
+    error: float  # over the noise floor, on motions that no fit saw
+
+
+class Judge:
+    """Judges fits of one problem, all in the same way."""
+
+    def __init__(self, problem: Problem, split: Split, floor: NoiseFloor, nuisance: Nuisance, timestep: float) -> None:
+        self.problem, self.replay, self.split, self.floor = problem, problem.replay, split, floor
+        self.nuisance, self.timestep = nuisance, timestep
+        self.sets = np.array(split.open, int)
+
+    @property
+    def sealed(self) -> list[Measurement]:
+        """The rollouts that no fit and no choice has seen."""
+        return [self.replay.measurements[m] for s in self.split.sealed for m in self.replay.replicates[s].members]
+
+    def judge(self, fit: Fit) -> Judged:
+        """Predict each kind of motion from the others, and the sealed motions from all."""
+        held = held_out(self.problem, fit, self.nuisance, self.sets, self.timestep)
+        return Judged(fit, held, self._unseen_error(fit, held))
+
+    def held_out_error(self, judged: Judged) -> float:
+        """Error over the floor of the open motions, each predicted without its own kind."""
+        return self._error(self.problem.observed[self.sets] - judged.held.residual, list(self.sets))
+
+    def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
+        """On sealed motions, cross-validated where none are sealed; without joint scatter."""
+        sealed = list(self.split.sealed)
+        if sealed:
+            return self._error(self.replay.predict(fit.model, fit.parameters[None], sealed, self.timestep)[0], sealed)
+        return self._error(self.problem.observed[self.sets] - held.residual, list(self.sets))
+
+    def _error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
+        residual = [
+            self.replay.measured[m] - predicted[i]
+            for i, s in enumerate(sets)
+            for m in self.replay.replicates[s].members
+        ]
+        return error_over_floor(self.replay.layout, np.array(residual), self.floor.values)
+
+    def evidence(self, use: str, after: Judged, before: Judged, drift: np.ndarray) -> Evidence:
+        """What the rollouts say of a use that was fitted; with "" of the base model itself.
+
+        Args:
+          use: which.
+          after: with the effect.
+          before: the base model.
+          drift: (P,) how far the optimum may still move as the time step goes to zero, in ranges.
+        """
+        fit, gains = after.fit, after.held.score - before.held.score
+        low, high, covariance = intervals(fit, after.held, drift, after.error)
+        lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)
+        parameters = tuple(
+            ParameterEstimate(p.name, p.unit, float(fit.parameters[i]), float(lows[i]), float(highs[i]), p.null)
+            for i, p in enumerate(fit.model.parameters)
+        )
+        return Evidence(
+            effect=use.partition(":")[0],
+            use=use,
+            elpd_gain=float(gains.sum()),
+            elpd_se=standard_error(gains),
+            statistic=float(paired_statistic(gains)),
+            error_before=before.error,
+            error_after=after.error,
+            parameters=parameters[len(before.fit.unit) :] if use else parameters,
+            refined=True,
+            converged=fit.converged,
+            gains=tuple(float(g) for g in gains),
+            names=fit.model.names,
+            values=tuple(float(v) for v in fit.parameters),
+            spread=tuple(tuple(float(x) for x in row) for row in covariance),
+        )
+
+    def moments(self, before: Judged, after: Judged, count: int = 4, span_s: float = 1.5) -> list[Moment]:
+        """Where the base model fails worst on held-out motions, with and without an effect."""
+        layout, residual = self.replay.layout, before.held.residual
+        span = round(span_s * layout.rate)
+        found = []
+        for s, t, c in worst_moments(residual, self.floor.values, layout.where(JOINT), count, span):
+            cut = slice(t, t + span)
+            observed = self.problem.observed[self.sets[s], cut, c]
+            group = self.replay.replicates[self.sets[s]]
+            found.append(
+                Moment(
+                    layout.channels[c].name,
+                    layout.channels[c].group.unit,
+                    self.replay.measurements[group.members[0]].rollout_id,
+                    self.replay.time[cut],
+                    observed,
+                    observed - residual[s, cut, c],
+                    observed - after.held.residual[s, cut, c],
+                    float(self.floor.values[c]),
+                )
+            )
+        return found
+
+
+def screened(use: str, gains: np.ndarray, error_before: float) -> Evidence:
+    """The linear estimate (F,) in nats of a use that got no full fit."""
+    return Evidence(
+        effect=use.partition(":")[0],
+        use=use,
+        elpd_gain=float(gains.sum()),
+        elpd_se=standard_error(gains),
+        statistic=float(paired_statistic(gains)),
+        error_before=error_before,
+        error_after=float("nan"),
+        parameters=(),
+        refined=False,
+        converged=False,
+        gains=tuple(float(g) for g in gains),
+    )
+
+
+def standard_error(gains: np.ndarray) -> float:
+    """Of the sum of (F,) gains; NaN of a single one."""
+    return float(np.sqrt(len(gains)) * np.std(gains, ddof=1)) if len(gains) > 1 else float("nan")
