@@ -20,7 +20,7 @@ from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract import messages, names
 from tcbi_msgs.msg import FootContacts
 from tcbi_msgs.srv import ResetEpisode
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 pytestmark = pytest.mark.graph
 

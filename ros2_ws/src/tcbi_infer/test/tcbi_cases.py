@@ -10,7 +10,7 @@ from tcbi_infer.tcbi.features import Features, Observed, divergences
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model, base_model
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 BENCH_TRUTH = (0.45, 0.6, 0.5)  # gain, damping, friction in the unit cube
 

@@ -11,7 +11,8 @@ from tcbi_infer.compare.noise import autocorrelation_time, from_fast_changes, no
 from tcbi_infer.compare.replicates import Replicates, find_replicates, split
 from tcbi_infer.compare.signals import JOINT, Layout, reference, window_mean
 from tcbi_sim.measurement import Commands, Measurement, Scenario
-from tcbi_sim.rig import Rig, load_rig
+from tcbi_sim.rig import Rig
+from tcbi_sim.rigs import load_rig
 
 TIME = np.arange(1, 251) / 50.0
 

@@ -56,7 +56,7 @@ def test_a_json_log_becomes_a_rollout_of_its_rig(tmp_path):
 
 
 def test_the_joints_have_the_names_of_the_built_in_rig():
-    from tcbi_sim.rig import load_rig
+    from tcbi_sim.rigs import load_rig
 
     mapping = load_mapping("xl330_bench")
     assert mapping.joints == load_rig(mapping.rig).joint_names

@@ -19,7 +19,8 @@ from tcbi_contract.names import CONTROL_PERIOD_S, CONTROL_RATE_HZ
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Commands, Measurement, Scenario, observation, roll_pitch_yaw
 from tcbi_sim.model import Model
-from tcbi_sim.rig import Rig, load_rig
+from tcbi_sim.rig import Rig
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples
 from tcbi_sim.simulator import Simulator, compile_structure, edited_spec
 

@@ -19,7 +19,7 @@ from tcbi_sim.engine import Simulator
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import Model
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples, add_noise
 
 NOISE_STREAM, DRAW_STREAM = 104_729, 1_299_709  # children of a seed, apart from those of scenario and engine

@@ -9,7 +9,7 @@ import numpy as np
 from tcbi_sim.engine import Simulator, edited_spec
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import Model
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 
 def materialise(model: Model, parameters: np.ndarray | None = None) -> mujoco.MjModel:

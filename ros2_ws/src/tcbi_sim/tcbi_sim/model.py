@@ -11,7 +11,8 @@ from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import find_use
 from tcbi_sim.errors import SimError
 from tcbi_sim.parameter import Parameter
-from tcbi_sim.rig import Rig, load_rig
+from tcbi_sim.rig import Rig
+from tcbi_sim.rigs import load_rig
 
 PRIOR_PARTICLES = 200
 

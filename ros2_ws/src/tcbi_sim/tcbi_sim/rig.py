@@ -59,16 +59,3 @@ class Rig:
         if joint not in self.joint_names:
             raise UnknownNameError("joint", joint, self.joint_names)
         return self.joint_names.index(joint)
-
-
-def load_rig(name: str) -> Rig:
-    """The built-in rig of this name.
-
-    Raises:
-      UnknownNameError: there is none.
-    """
-    from tcbi_sim.rigs import RIGS
-
-    if name not in RIGS:
-        raise UnknownNameError("rig", name, tuple(RIGS))
-    return RIGS[name]()

@@ -22,7 +22,8 @@ from tcbi_sim.errors import SimError
 from tcbi_sim.fields import CommandFields, Fields, ModelFields, SensingFields
 from tcbi_sim.measurement import Scenario, quaternion_from_rpy
 from tcbi_sim.model import Model
-from tcbi_sim.rig import Rig, load_rig
+from tcbi_sim.rig import Rig
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples, delay, multiply, rotate_back, sense
 
 CLEARANCE = 0.004  # m above the ground before settling

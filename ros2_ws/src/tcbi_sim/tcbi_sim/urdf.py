@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from tcbi_sim.errors import SimError
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 _SHAPES = {
     int(mujoco.mjtGeom.mjGEOM_BOX),

@@ -8,7 +8,7 @@ from tcbi_sim.engine import simulate
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import base_model
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 HEXAPOD, BENCH = load_rig("hexapod"), load_rig("servo_bench")
 SCENARIO = Scenario("balance", 2.0, 0.1, -0.05)

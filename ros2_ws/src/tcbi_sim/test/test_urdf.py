@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tcbi_contract.names import IMU_FRAME, JOINTS, LEGS
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.urdf import DescriptionError, urdf
 
 

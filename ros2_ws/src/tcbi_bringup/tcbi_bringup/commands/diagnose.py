@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_infer.diagnose.diagnosis import QUICK, Settings
     from tcbi_infer.report import Report, add_diagnosis
     from tcbi_sim.effects import candidates
-    from tcbi_sim.rig import load_rig
+    from tcbi_sim.rigs import load_rig
     from tcbi_sim.store import ModelStore
 
     measurements = read_measurements(args.bags)

@@ -13,7 +13,7 @@ from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.signals import ATTITUDE, JOINT, Layout
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 PARTICLES = 16  # simulated for the predictive bands
 IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than this changes nothing

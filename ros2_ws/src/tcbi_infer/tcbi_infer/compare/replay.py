@@ -12,7 +12,7 @@ from tcbi_infer.gaps import unusable
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 LEAST_SAMPLES = 10
 

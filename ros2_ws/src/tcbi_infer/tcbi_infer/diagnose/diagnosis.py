@@ -28,7 +28,7 @@ from tcbi_infer.diagnose.verdict import accept, ranked, rule
 from tcbi_sim.effects import candidates
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 FINE_TIMESTEP = 0.002  # s, with which a quick diagnosis compares its coarse one
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range

@@ -4,7 +4,7 @@ import numpy as np
 
 from tcbi_infer.diagnose.fit import Fit, Nuisance
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_sim.rig import load_rig
+from tcbi_sim.rigs import load_rig
 
 SCATTER = 0.03  # standard deviation of one servo's gain about its siblings', relative
 STEP = 2.0  # standard deviations, of the finite difference

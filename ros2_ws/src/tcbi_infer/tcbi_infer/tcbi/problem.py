@@ -27,7 +27,8 @@ from tcbi_policy.errors import PolicyError
 from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
 from tcbi_sim.measurement import Measurement, quaternion_from_rpy
 from tcbi_sim.model import Model
-from tcbi_sim.rig import Noise, load_rig
+from tcbi_sim.rig import Noise
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import multiply
 
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time

@@ -10,7 +10,8 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, from_measurements
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
-from tcbi_sim.rig import Noise, load_rig
+from tcbi_sim.rig import Noise
+from tcbi_sim.rigs import load_rig
 
 ENOUGH = 8  # rollouts, below which rollouts are cut into blocks so that their scatter can be seen
 LEAST_SAMPLES = 20
