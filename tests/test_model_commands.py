@@ -62,7 +62,9 @@ def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
     assert delay["low90"] <= LATENCY <= delay["high90"]
 
     added = answer(capsys, "add", "command_latency", "--rig", "servo_bench", *store)
-    assert added == {"model": "servo_bench-v1", "parent": "servo_bench-v0", "effect": "command_latency"}
+    assert (added["model"], added["parent"], added["effect"]) == ("servo_bench-v1", "servo_bench-v0", "command_latency")
+    assert added["accepted"] and added["error_after"] < 1.5 < added["error_before"]
+    assert "command_latency.delay" in Path(added["report"]).read_text()
 
     versions = answer(capsys, "history", bags, *store)["models"]
     assert [v["model"] for v in versions] == ["servo_bench-v0", "servo_bench-v1"]
@@ -83,6 +85,18 @@ def test_adding_what_no_diagnosis_fitted_is_refused_in_one_line(tmp_path, capsys
 def test_an_unknown_effect_is_refused_before_any_fit(bags, tmp_path, capsys):
     assert cli.main(["add", "backlsh", str(bags), "--store", str(tmp_path)]) == 1
     assert "did you mean 'backlash'" in capsys.readouterr().err
+
+
+def test_an_unknown_candidate_is_refused_instead_of_being_left_out(bags, tmp_path, capsys):
+    store = ("--store", str(tmp_path))
+    assert cli.main(["diagnose", str(bags), "--effects", "backlash,command_latncy", *store]) == 1
+    assert "did you mean 'command_latency'" in capsys.readouterr().err
+
+
+def test_an_effect_that_was_not_fitted_says_so(bags, tmp_path, capsys):
+    added = answer(capsys, "add", "backlash", "--prior", "--rig", "servo_bench", "--store", tmp_path)
+    assert not added["accepted"] and added["error_after"] is None
+    assert "as wide as their prior" in Path(added["report"]).read_text()
 
 
 def test_a_model_is_not_exported_into_a_folder_that_does_not_exist(tmp_path, capsys):

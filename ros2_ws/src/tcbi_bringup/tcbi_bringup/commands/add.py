@@ -2,8 +2,13 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tcbi_bringup.commands import console
+
+if TYPE_CHECKING:
+    from tcbi_sim.measurement import Measurement
+    from tcbi_sim.model import Model
 
 SUMMARY = "Make a new model version with an effect in it; the old versions stay."
 
@@ -18,57 +23,87 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi add payload --prior                           # without any fit",
     )
     parser.add_argument("effect", help="an effect's name, or name:site")
-    parser.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="bags to fit it to")
-    parser.add_argument("--model", default="latest", help="the parent version (default: latest)")
-    parser.add_argument("--rig", default="hexapod", help="whose latest version, without bags (default: hexapod)")
+    console.add_bags(parser, " to fit it to", least=0)
+    console.add_model(parser, "the parent version")
+    parser.add_argument("--rig", default="hexapod", help="whose newest version, without bags (default: hexapod)")
     parser.add_argument("--diagnosis", type=Path, metavar="FILE", help="what `diagnose --json` wrote")
     parser.add_argument("--prior", action="store_true", help="keep the parameters as wide as their prior")
+    console.add_report(parser)
     console.add_store(parser)
     console.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Find or make the fit, save the version, print."""
+    """Find or make the fit, save the version, report, print."""
     from tcbi_infer.bags.reader import read_measurements
-    from tcbi_infer.diagnose import adopt
-    from tcbi_infer.errors import InferError
+    from tcbi_infer.report import Report, add_version
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
     measurements = read_measurements(args.bags) if args.bags else []
     model = store.load(args.model, measurements[0].rig if measurements else args.rig)
-    if args.prior:
-        child = model.with_effect(args.effect)
-    else:
-        if args.diagnosis:
-            diagnosis = adopt.read(args.diagnosis)
-        elif measurements:
-            model.with_effect(args.effect)  # a wrong name is told before the fit, not after it
-            with console.progress("fitting", total=100) as advance:
-                fitted = adopt.fit_effect(
-                    model,
-                    args.effect,
-                    measurements,
-                    progress=lambda stage, share: advance(done=round(100 * share), note=stage),
-                )
-            diagnosis = fitted.to_json()
-        else:
-            model.with_effect(args.effect)
-            found = adopt.latest(store.folder("runs"), model.version, args.effect)
-            if found is None:
-                raise InferError(
-                    f"no diagnosis of {model.version} has fitted {args.effect!r}; run ./tcbi diagnose first, "
-                    "give bags, or keep the prior with --prior"
-                )
-            diagnosis = found
-        child = adopt.adopt(model, args.effect, diagnosis)
+    child = model.with_effect(args.effect)  # a wrong name is told before a fit, not after it
+    if not args.prior:
+        child = _fitted(args, model, measurements, store.folder("runs"))
     saved = store.save(child)
+    report = Report(f"{saved.version}: {model.version} with {args.effect}", "A new model version.")
+    add_version(report, model, saved)
+    path = report.write(args.report or store.folder("reports") / f"add-{saved.version}.html")
     if args.json:
-        console.emit({"model": saved.version, "parent": model.version, "effect": args.effect})
-        return 0
-    print(f"{saved.version} = {model.version} + {args.effect}")
-    if not args.prior and not saved.evidence["accepted"]:
-        print("note: the diagnosis did not accept this effect; the version is a guess")
+        errors = saved.evidence.get("errors", {})
+        console.emit(
+            {
+                "model": saved.version,
+                "parent": model.version,
+                "effect": args.effect,
+                "accepted": bool(saved.evidence.get("accepted", False)),
+                "error_before": errors.get("base"),
+                "error_after": errors.get(args.effect),
+                "report": str(path),
+            }
+        )
+    else:
+        _print(model, saved, args.effect, path)
+    return 0
+
+
+def _fitted(args: argparse.Namespace, model: "Model", measurements: "list[Measurement]", runs: Path) -> "Model":
+    """The version as a diagnosis fitted it: a given one, one made now, or the newest that is remembered."""
+    from tcbi_infer.diagnose import adopt
+    from tcbi_infer.errors import InferError
+
+    if args.diagnosis:
+        return adopt.adopt(model, args.effect, adopt.read(args.diagnosis))
+    if measurements:
+        with console.progress("fitting", total=100) as advance:
+            fitted = adopt.fit_effect(
+                model,
+                args.effect,
+                measurements,
+                progress=lambda stage, share: advance(done=round(100 * share), note=stage),
+            )
+        return adopt.adopt(model, args.effect, fitted.to_json())
+    found = adopt.latest(runs, model.version, args.effect)
+    if found is None:
+        raise InferError(
+            f"no diagnosis of {model.version} has fitted {args.effect!r}; run ./tcbi diagnose first, "
+            "give bags, or keep the prior with --prior"
+        )
+    return adopt.adopt(model, args.effect, found)
+
+
+def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
+    print(f"{saved.version} = {model.version} + {effect}")
     rows = [[p.name, p.unit, float(v)] for p, v in zip(saved.parameters, saved.mean(), strict=True)]
     console.table("mean parameters", ["parameter", "unit", "mean"], rows)
-    return 0
+    errors = saved.evidence.get("errors", {})
+    if effect in errors:
+        print(
+            f"error over the noise floor on rollouts that no fit has seen: {errors['base']:.2g} with {model.version} "
+            f"fitted again, {errors[effect]:.2g} with {saved.version}"
+        )
+        if not saved.evidence["accepted"]:
+            print("note: the diagnosis did not accept this effect; the version is a guess")
+    else:
+        print(f"its size is as wide as the prior; measure it: ./tcbi compare BAG… --model {saved.version}")
+    print(f"report: {path}")

@@ -20,11 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi compare rollouts/* --model hexapod-v0 --report compare.html",
         "./tcbi compare rollouts/* --json",
     )
-    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders of bags")
-    parser.add_argument("--model", default="latest", help="model version (default: latest)")
-    parser.add_argument(
-        "--report", type=Path, metavar="FILE", help="where the HTML report goes (default: in the store)"
-    )
+    console.add_bags(parser)
+    console.add_model(parser)
+    console.add_report(parser)
     parser.add_argument("--timestep", type=float, default=0.002, help="s, of the simulation (default: 0.002)")
     console.add_store(parser)
     console.add_json(parser)

@@ -53,6 +53,22 @@ def add_store(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_bags(parser: argparse.ArgumentParser, use: str = "", least: int = 1) -> None:
+    """`BAG …`; what for, where they are optional."""
+    text = f"bags, or folders of bags{use}"
+    parser.add_argument("bags", nargs="+" if least else "*", type=Path, metavar="BAG", help=text)
+
+
+def add_model(parser: argparse.ArgumentParser, use: str = "model version") -> None:
+    """`--model VERSION`."""
+    parser.add_argument("--model", default="latest", metavar="VERSION", help=f"{use} (default: the newest)")
+
+
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """`--report FILE`."""
+    parser.add_argument("--report", type=Path, metavar="FILE", help="the HTML report (default: in the store)")
+
+
 def store_folder(given: Path | None) -> Path:
     """The folder that `--store` stands for, absolute; the rule of `tcbi_sim.store`, without its imports."""
     default = Path(os.environ.get("TCBI_STORE") or Path.home() / ".local" / "share" / "tcbi")

@@ -21,16 +21,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi diagnose rollouts/* --model hexapod-v1 --report why.html",
         "./tcbi diagnose rollouts/* --effects coulomb_friction,backlash --json",
     )
-    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders of bags")
-    parser.add_argument("--model", default="latest", help="model version (default: latest)")
+    console.add_bags(parser)
+    console.add_model(parser)
     parser.add_argument("--effects", help="comma-separated candidates (default: the whole library)")
     parser.add_argument("--refine", type=int, default=3, help="candidates that get a full fit (default: 3)")
     parser.add_argument(
         "--quick", action="store_true", help="a first answer from few motions: coarse steps, no single joints, two fits"
     )
-    parser.add_argument(
-        "--report", type=Path, metavar="FILE", help="where the HTML report goes (default: in the store)"
-    )
+    console.add_report(parser)
     parser.add_argument("--seed", type=int, default=0, help="of the split and of the simulated null data (default: 0)")
     console.add_store(parser)
     console.add_json(parser)
@@ -41,20 +39,14 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.diagnose import diagnose
     from tcbi_infer.diagnose.adopt import remember
-    from tcbi_infer.diagnose.diagnosis import QUICK, Settings
+    from tcbi_infer.diagnose.diagnosis import QUICK, Settings, find_candidates
     from tcbi_infer.report import Report, add_diagnosis
-    from tcbi_sim.effects import candidates
-    from tcbi_sim.rigs import load_rig
     from tcbi_sim.store import ModelStore
 
     measurements = read_measurements(args.bags)
     store = ModelStore(args.store)
     model = store.load(args.model, measurements[0].rig)
-    uses = None
-    if args.effects:
-        wanted = args.effects.split(",")
-        every = [u for u in candidates(load_rig(model.rig)) if u.key not in model.effects]
-        uses = [u.key for u in every if u.key in wanted or u.effect.name in wanted]
+    uses = find_candidates(model, args.effects.split(",")) if args.effects else None
     with console.progress("diagnosing", total=100) as advance:
         diagnosis = diagnose(
             model,

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi export-model --model hexapod-v2 v2.xml",
     )
     parser.add_argument("file", type=Path, metavar="F", help="the MJCF file to write")
-    parser.add_argument("--model", default="latest", help="model version (default: latest)")
+    console.add_model(parser)
     parser.add_argument("--rig", default="hexapod", help="whose latest version (default: hexapod)")
     console.add_store(parser)
     console.add_json(parser)

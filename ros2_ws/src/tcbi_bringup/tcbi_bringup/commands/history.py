@@ -1,7 +1,6 @@
 """`./tcbi history`: the error of each model version on rollouts that no fit has seen."""
 
 import argparse
-from pathlib import Path
 
 from tcbi_bringup.commands import console
 
@@ -16,11 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi history new_rollouts/*                        # measured now, on these bags",
         "./tcbi history --report history.html --json",
     )
-    parser.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="bags to compare every version on")
+    console.add_bags(parser, " to compare every version on", least=0)
     parser.add_argument("--rig", help="versions of this rig (default: the bags' rig, else hexapod)")
-    parser.add_argument(
-        "--report", type=Path, metavar="FILE", help="where the HTML report goes (default: in the store)"
-    )
+    console.add_report(parser)
     console.add_store(parser)
     console.add_json(parser)
 

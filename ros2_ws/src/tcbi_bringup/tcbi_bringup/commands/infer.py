@@ -1,7 +1,6 @@
 """`./tcbi infer`: posterior of a model's parameters from bags, saved as a new model version."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tcbi_bringup.commands import console
@@ -22,11 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi infer rollouts/* --method paper               # Algorithm 1 as published",
         "./tcbi infer rollouts/* --generations 12             # a narrower posterior, if the data allow it",
     )
-    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags, or folders of bags")
+    console.add_bags(parser)
     parser.add_argument("--method", default="calibrated", help="calibrated (default) or paper")
-    parser.add_argument(
-        "--model", default="latest", help="model version whose parameters are inferred (default: latest)"
-    )
+    console.add_model(parser, "model version whose parameters are inferred")
     parser.add_argument("--particles", type=_positive, help="simulated in each generation (default: 50)")
     parser.add_argument("--generations", type=_positive, help="at most (default: calibrated 6, paper 15)")
     parser.add_argument("--rollouts", type=_positive, help="use the first so many of the bags' rollouts (default: all)")

@@ -15,9 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--measure", action="store_true", help="roll it out and report return, inclination and distance"
     )
     parser.add_argument("--task", default="", help="task to measure it in (default: the one that it was trained for)")
-    parser.add_argument(
-        "--model", default="latest", help="model version whose parameters are drawn (default: the newest)"
-    )
+    console.add_model(parser, "model version whose parameters are drawn")
     parser.add_argument("--rollouts", type=int, default=64, help="how many rollouts to measure with (default: 64)")
     parser.add_argument("--seed", type=int, default=1, help="of parameters and scenarios (default: 1)")
     console.add_store(parser)

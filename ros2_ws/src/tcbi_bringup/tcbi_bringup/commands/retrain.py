@@ -15,9 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--policy", default="", help="the policy to beat, and to start from (default: the newest of the task)"
     )
     parser.add_argument("--scratch", action="store_true", help="train from scratch instead of from that policy")
-    parser.add_argument(
-        "--model", default="latest", help="model version whose posterior is drawn from (default: the newest)"
-    )
+    console.add_model(parser, "model version whose posterior is drawn from")
     parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument(
         "--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)"

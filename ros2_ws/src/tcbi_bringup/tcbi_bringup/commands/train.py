@@ -19,9 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument("--out", default="", help="name in the store, or path of a .safetensors file (default: TASK-N)")
-    parser.add_argument(
-        "--model", default="latest", help="model version whose parameters are drawn (default: the newest)"
-    )
+    console.add_model(parser, "model version whose parameters are drawn")
     parser.add_argument("--start", default="", help="policy to go on from (default: from scratch)")
     parser.add_argument(
         "--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)"

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy", default="", help="what acts: a .safetensors file, a policy of the store, or gait:NAME"
     )
-    parser.add_argument("--model", default="latest", help="model version to simulate (default: latest)")
+    console.add_model(parser, "model version to simulate")
     parser.add_argument("--lockstep", action="store_true", help="simulate as fast as it goes, with /clock (sim only)")
     parser.add_argument("--namespace", default="", help="put before every topic, for several robots in one domain")
     parser.add_argument("--seed", type=int, default=0, help="of the simulation or the emulated robot (default: 0)")

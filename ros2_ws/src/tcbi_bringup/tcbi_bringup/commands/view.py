@@ -11,7 +11,7 @@ SUMMARY = "Show a model version: in a window, or as a picture and a video where 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to show, and where to."""
-    parser.add_argument("--model", default="latest", help="version to show (default: the newest)")
+    console.add_model(parser, "version to show")
     parser.add_argument("--rig", default="hexapod", help="rig whose newest version is shown (default: hexapod)")
     parser.add_argument("--task", default="forward", help="balance or forward (default: forward)")
     parser.add_argument("--seed", type=int, default=3, help="draws the terrain and the posture (default: 3)")

@@ -25,7 +25,9 @@ from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.screen import Directions, Screen, simulate_directions
 from tcbi_infer.diagnose.starts import start_points
 from tcbi_infer.diagnose.verdict import accept, ranked, rule
+from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import candidates
+from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
@@ -75,6 +77,25 @@ def diagnose(
     return _Run(model, measurements, uses, settings or Settings(), progress or (lambda stage, share: None)).go()
 
 
+def library(model: Model) -> list[EffectUse]:
+    """Every use of every effect that the model has not got yet."""
+    return [u for u in candidates(load_rig(model.rig)) if u.key not in model.effects]
+
+
+def find_candidates(model: Model, wanted: Sequence[str]) -> list[str]:
+    """The uses that effects' names ("weak_leg", at all its sites) or single uses ("weak_leg:lf") stand for.
+
+    Raises:
+      UnknownNameError: one of them is none, or is in the model already.
+    """
+    every = library(model)
+    known = dict.fromkeys([u.effect.name for u in every] + [u.key for u in every])
+    for name in wanted:
+        if name not in known:
+            raise UnknownNameError(f"candidate for {model.version}", name, tuple(known))
+    return [u.key for u in every if u.key in wanted or u.effect.name in wanted]
+
+
 class _Run:
     """One diagnosis; each method is a stage."""
 
@@ -97,9 +118,8 @@ class _Run:
         self.problem = Problem.of(self.replay, self.floor.values)
 
     def _library(self) -> list[str]:
-        rig = load_rig(self.model.rig)
-        every = [u for u in candidates(rig) if u.key not in self.model.effects]
-        return [u.key for u in every if self.settings.per_joint or u.site not in rig.joint_names]
+        single = () if self.settings.per_joint else load_rig(self.model.rig).joint_names
+        return [u.key for u in library(self.model) if u.site not in single]
 
     def _floor(self, model: Model) -> NoiseFloor:
         predicted = self.replay.predict(model, model.mean()[None], timestep=self.settings.coarse)

@@ -1,6 +1,16 @@
 """Reports that a newcomer understands without help: one HTML file, nothing to install, nothing to load."""
 
 from tcbi_infer.report.page import Figure, Report, Section, Table
-from tcbi_infer.report.sections import add_comparison, add_diagnosis, add_history, add_ladder
+from tcbi_infer.report.sections import add_comparison, add_diagnosis, add_history, add_ladder, add_version
 
-__all__ = ["Figure", "Report", "Section", "Table", "add_comparison", "add_diagnosis", "add_history", "add_ladder"]
+__all__ = [
+    "Figure",
+    "Report",
+    "Section",
+    "Table",
+    "add_comparison",
+    "add_diagnosis",
+    "add_history",
+    "add_ladder",
+    "add_version",
+]

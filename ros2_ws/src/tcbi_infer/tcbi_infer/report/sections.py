@@ -10,6 +10,7 @@ from tcbi_infer.compare.signals import JOINT
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis, Evidence
 from tcbi_infer.report import plots
 from tcbi_infer.report.page import Figure, Report, Section, Table
+from tcbi_sim.model import Model
 
 WORST_S = 1.5  # s, length of a moment shown
 HEADLINES = {
@@ -154,13 +155,8 @@ def _moments(d: Diagnosis) -> Section:
 
 
 def _sizes(named: Sequence[Evidence]) -> Section:
-    figures = []
-    for evidence in named:
-        for p in evidence.parameters:
-            ends = [p.low90, p.high90, p.value, *([p.null] if p.null is not None else [])]
-            pad = 0.15 * (max(ends) - min(ends) or abs(p.value) or 1.0)
-            svg = plots.interval(p.name, p.unit, p.value, p.low90, p.high90, p.null, (min(ends) - pad, max(ends) + pad))
-            figures.append(Figure(svg, f"{p.value:.3g} {p.unit}, 90 % between {p.low90:.3g} and {p.high90:.3g}."))
+    sizes = [p for evidence in named for p in evidence.parameters]
+    figures = [_size(p.name, p.unit, p.value, p.low90, p.high90, p.null) for p in sizes]
     return Section(
         "How large is it?",
         text=[
@@ -168,6 +164,50 @@ def _sizes(named: Sequence[Evidence]) -> Section:
         ],
         figures=figures,
     )
+
+
+def _size(name: str, unit: str, value: float, low: float, high: float, null: float | None) -> Figure:
+    ends = [low, high, value, *([null] if null is not None else [])]
+    pad = 0.15 * (max(ends) - min(ends) or abs(value) or 1.0)
+    svg = plots.interval(name, unit, value, low, high, null, (min(ends) - pad, max(ends) + pad))
+    return Figure(svg, f"{value:.3g} {unit}, 90 % between {low:.3g} and {high:.3g}.")
+
+
+def add_version(report: Report, parent: Model, child: Model) -> None:
+    """A new version: whether the data asked for it, how the error changes, every parameter before and after."""
+    evidence = child.evidence
+    if "statement" not in evidence:
+        told, tone = "Nothing has been fitted: the new parameters are as wide as their prior.", "neutral"
+    elif evidence["accepted"]:
+        told, tone = evidence["statement"], "good"
+    else:
+        told, tone = (
+            f"The diagnosis did not accept this effect; the version is a guess. {evidence['statement']}",
+            "warn",
+        )
+    report.add(Section(f"{child.version} follows {parent.version}", verdict=told, tone=tone))
+    if evidence.get("errors"):
+        add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in evidence["errors"].items()])
+    own = [p for p in evidence.get("parameters", []) if p["name"] not in parent.names]
+    before = dict(zip(parent.names, _quantiles(parent), strict=True))
+    rows = [
+        [p.name, p.unit, before.get(p.name, "–"), now]
+        for p, now in zip(child.parameters, _quantiles(child), strict=True)
+    ]
+    head = ["parameter", "unit", f"{parent.version}: mean (5 % to 95 %)", child.version]
+    figures = [_size(p["name"], p["unit"], p["value"], p["low90"], p["high90"], p["null"]) for p in own]
+    report.add(Section("Its parameters", figures=figures, table=Table(head, rows)))
+
+
+def _quantiles(model: Model) -> list[str]:
+    """Mean and 90 % interval of each parameter under the model's particles."""
+    texts = []
+    for values, mean in zip(model.particles.T, model.mean(), strict=True):
+        order = np.argsort(values)
+        reached = np.cumsum(model.weights[order])
+        low, high = (values[order][min(np.searchsorted(reached, q), len(values) - 1)] for q in (0.05, 0.95))
+        texts.append(f"{mean:.3g} ({low:.3g} to {high:.3g})")
+    return texts
 
 
 def add_history(report: Report, rows: Sequence[tuple[str, str, str, float]]) -> None:
