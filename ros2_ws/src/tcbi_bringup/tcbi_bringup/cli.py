@@ -2,6 +2,7 @@
 
 import argparse
 import difflib
+import errno
 import importlib
 import importlib.util
 import keyword
@@ -14,6 +15,17 @@ from types import ModuleType
 from tcbi_contract.errors import TcbiError
 
 OK, FAULT, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+_ROOM = "make room on the disk, or choose another folder (--store or --out)"
+_RIGHTS = "give yourself the right to write there, or choose another folder (--store or --out)"
+MACHINE_FAULTS = {  # what any command may meet, and what to do; all other errors of the system are faults of the program
+    errno.ENOSPC: _ROOM,
+    errno.EDQUOT: _ROOM,
+    errno.EFBIG: "the limit on the size of files is too low: raise it (ulimit -f unlimited)",
+    errno.EROFS: _RIGHTS,
+    errno.EACCES: _RIGHTS,
+    errno.EPERM: _RIGHTS,
+}
 
 
 @dataclass(frozen=True)
@@ -111,6 +123,12 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has gone; nothing more to flush
         return OK
+    except OSError as e:
+        if e.errno not in MACHINE_FAULTS:
+            raise
+        place = f"{e.filename}: " if e.filename else ""
+        print(f"tcbi: {place}{os.strerror(e.errno)}; {MACHINE_FAULTS[e.errno]}", file=sys.stderr)
+        return FAULT
 
 
 def dispatch(words: list[str]) -> int:

@@ -1,6 +1,8 @@
 """The command line: the table, errors in one line, exit statuses."""
 
+import errno
 import importlib
+import os
 import pkgutil
 import types
 
@@ -94,3 +96,23 @@ def test_an_interrupt_is_status_130_without_a_traceback(command, capsys):
 def test_the_status_of_a_command_is_passed_on(command):
     command(lambda args: 1)
     assert cli.main(["compare"]) == 1
+
+
+@pytest.mark.parametrize("number", cli.MACHINE_FAULTS)
+def test_a_full_disk_or_a_forbidden_folder_is_one_line_with_a_remedy_in_any_command(command, number, capsys):
+    def run(_):
+        raise OSError(number, os.strerror(number), "store/models")
+
+    command(run)
+    assert cli.main(["compare"]) == cli.FAULT
+    error = capsys.readouterr().err
+    assert error.startswith(f"tcbi: store/models: {os.strerror(number)}; ") and error.count("\n") == 1
+
+
+def test_other_errors_of_the_system_are_not_hidden(command):
+    def run(_):
+        raise OSError(errno.EBADF, "bad file descriptor")
+
+    command(run)
+    with pytest.raises(OSError, match="bad file descriptor"):
+        cli.main(["compare"])
