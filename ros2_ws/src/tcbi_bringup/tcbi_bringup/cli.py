@@ -18,7 +18,7 @@ OK, FAULT, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 _ROOM = "make room on the disk, or choose another folder (--store or --out)"
 _RIGHTS = "give yourself the right to write there, or choose another folder (--store or --out)"
-MACHINE_FAULTS = {  # what any command may meet, and what to do; all other errors of the system are faults of the program
+MACHINE_FAULTS = {  # what any command may meet, and what to do; other errors of the system are faults of the program
     errno.ENOSPC: _ROOM,
     errno.EDQUOT: _ROOM,
     errno.EFBIG: "the limit on the size of files is too low: raise it (ulimit -f unlimited)",
