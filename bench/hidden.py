@@ -74,7 +74,8 @@ def judged(job: tuple[str, str, str, int]) -> Result:
     spent = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
     use = found.uses[0] if found.verdict == EFFECT else ""
     added = adopt(model, use, found.to_json())
-    errors = [compare(m, unseen, particles=0).error_over_floor for m in (model, added)]
+    floor = compare(model, seen, particles=0).floor
+    errors = [compare(m, unseen, particles=0, floor=floor).error_over_floor for m in (model, added)]
     return {
         "plan": plan_name,
         "hidden": hidden,

@@ -120,6 +120,6 @@ def _print(outcome: "Outcome", truth: dict[str, Any], report: Path) -> None:
         rows.append([m["model"], ", ".join(m["effects"]) or "none", m["error_over_floor"], *returns])
     columns = ["model", "effects", "error / noise floor", "return on the robot", "final inclination / deg"]
     console.table("", columns, rows)
-    hidden = truth["hidden"]
-    print(f"hidden in the robot: {hidden} {truth['effect'] if hidden != NONE else ''}".rstrip())
+    sizes = [f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in truth["effect"].items()]
+    print(f"hidden in the robot: {truth['hidden']}{' (' + ', '.join(sizes) + ')' if sizes else ''}")
     print(f"report: {report}")

@@ -73,7 +73,7 @@ def _print(d: "Diagnosis", path: Path) -> None:
     rows = []
     for e in d.ranking[:10]:
         sizes = "; ".join(
-            f"{p.name.rpartition('.')[2]} {p.value:.3g} ({p.low90:.3g} to {p.high90:.3g}) {p.unit}"
+            f"{p.name.rpartition('.')[2]} {p.value:.3g} ({p.low90:.3g} to {p.high90:.3g}) {p.unit.removeprefix('1')}"
             for p in e.parameters
         )
         after = e.error_after if e.refined else None

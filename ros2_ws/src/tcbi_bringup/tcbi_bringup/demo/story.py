@@ -185,8 +185,9 @@ class Story:
         out = self.out
         with console.progress("deploying", total=self.plan.deployments) as advance:
             robot = self._run_meanwhile(lambda: self.run_task_again(advance))
+            floor = out.comparison.floor if out.comparison else None  # from all motions, not these few
             for model in out.models:
-                out.errors[model.version] = compare(model, out.unseen, particles=PARTICLES)
+                out.errors[model.version] = compare(model, out.unseen, particles=PARTICLES, floor=floor)
             robot.result()
         change = f"return {mean_return(out.before):.0f} -> {mean_return(out.after):.0f}"
         self.say(f"{change}, final inclination {tilt(out.before):.1f} -> {tilt(out.after):.1f} deg on the robot")
@@ -251,7 +252,8 @@ class Story:
         saved = self.out.store.save(adopt(model, use, diagnosis.to_json()))
         self.out.models.append(saved)
         what = f"has {use}" if use else "keeps its effects, with fitted parameters"
-        values = ", ".join(f"{p.name} {v:.3g} {p.unit}" for p, v in zip(saved.parameters, saved.mean(), strict=True))
+        means = zip(saved.parameters, saved.mean(), strict=True)
+        values = ", ".join(f"{p.name} {v:.3g} {p.unit.removeprefix('1')}".rstrip() for p, v in means)
         self.say(f"{saved.version} {what}: {values}")
         if diagnosis.verdict == NOTHING_MISSING:
             self.say("nothing is missing: no effect is added")

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.locate import Finding, locate
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
@@ -74,6 +75,7 @@ def compare(
     timestep: float = 0.002,
     particles: int = PARTICLES,
     seed: int = 0,
+    floor: NoiseFloor | None = None,
 ) -> Comparison:
     """Replays the recorded commands and measures the error of every signal.
 
@@ -84,9 +86,10 @@ def compare(
       timestep: s, of the replay.
       particles: simulated for the predictive bands; 0 for none.
       seed: of the draw of particles.
+      floor: from more rollouts of the same robot than these few; by default these rollouts' own.
 
     Raises:
-      CompareError: nothing to compare, or another rig's rollouts.
+      CompareError: nothing to compare, another rig's rollouts, or a floor of other signals.
     """
     replay = Replay.of(model, measurements)
     mean = np.asarray(model.mean() if parameters is None else parameters)
@@ -95,7 +98,9 @@ def compare(
     predicted = replay.predict(model, np.concatenate([mean[None], draws]), timestep=timestep)
     by_rollout = replay.by_rollout(predicted)
     residual = replay.measured - by_rollout[0]
-    floor = noise_floor(replay.layout, replay.measured, residual, replay.replicates)
+    floor = floor or noise_floor(replay.layout, replay.measured, residual, replay.replicates)
+    if len(floor.values) != len(replay.layout.channels):
+        raise CompareError(f"the floor has {len(floor.values)} signals, these rollouts {len(replay.layout.channels)}")
     low, high = predictive_band(by_rollout[1:] if len(draws) else by_rollout, floor.values)
     findings = guard(measurements) + _idle_parameters(model, replay, mean, floor.values)
     if not np.isfinite(by_rollout[0]).any():

@@ -170,7 +170,8 @@ def _size(name: str, unit: str, value: float, low: float, high: float, null: flo
     ends = [low, high, value, *([null] if null is not None else [])]
     pad = 0.15 * (max(ends) - min(ends) or abs(value) or 1.0)
     svg = plots.interval(name, unit, value, low, high, null, (min(ends) - pad, max(ends) + pad))
-    return Figure(svg, f"{value:.3g} {unit}, 90 % between {low:.3g} and {high:.3g}.")
+    size = f"{value:.3g} {unit.removeprefix('1')}".rstrip()
+    return Figure(svg, f"{size}, 90 % between {low:.3g} and {high:.3g}.")
 
 
 def add_version(report: Report, parent: Model, child: Model) -> None:
