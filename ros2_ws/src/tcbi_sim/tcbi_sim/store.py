@@ -65,9 +65,14 @@ class ModelStore:
 
         Raises:
           UnknownNameError: there is no such version.
-          StoreError: its files are damaged or name what this installation does not know.
+          StoreError: the rig has no model, or its files are damaged or name what this installation does not know.
         """
         known = self.versions(rig if version == LATEST else None)
+        if not known:
+            having = ", ".join(sorted({v.rpartition("-v")[0] for v in self.versions()}))
+            raise StoreError(
+                f"the rig {rig!r} has no model, so its recordings cannot be simulated; rigs with one: {having}"
+            )
         version = known[-1] if version == LATEST else version
         if version not in known:
             raise UnknownNameError("model version", version, known)

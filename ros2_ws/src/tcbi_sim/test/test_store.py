@@ -89,3 +89,8 @@ def test_a_truncated_file_is_one_clear_line(store):
     (store.models / saved.version / "posterior.nc").write_bytes(b"\x89HDF")
     with pytest.raises(StoreError, match="cannot read the model"):
         store.load(saved.version)
+
+
+def test_a_rig_without_a_model_is_named_with_those_that_have_one(tmp_path):
+    with pytest.raises(StoreError, match=r"rig 'so101_arm' has no model.*hexapod"):
+        ModelStore(tmp_path).load(rig="so101_arm")
