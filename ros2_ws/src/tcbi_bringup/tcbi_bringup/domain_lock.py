@@ -12,7 +12,7 @@ from tcbi_bringup.errors import LaunchError, SecondGraphError
 from tcbi_bringup.graph_monitor import GraphMonitor
 
 OWN_NODES = ("sim_node", "driver_node", "policy_node", "recorder_node", "inference_node", "retrain_node")
-DISCOVERY_S = 2.5
+DISCOVERY_S = 4.0  # what a busy machine was seen to need, and a margin
 DOMAINS = range(0, 233)
 REMEDY = "stop that one, or choose another domain (ROS_DOMAIN_ID=1 ./tcbi up …) or another --namespace"
 

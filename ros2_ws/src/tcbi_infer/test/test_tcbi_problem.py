@@ -157,6 +157,15 @@ def test_recordings_of_unequal_length_are_each_cut_to_their_own_group(bench) -> 
     assert problem.simulate(np.full((2, 3), 0.5)).counts.shape[:2] == (2, 8)
 
 
+def test_a_rollout_with_missing_samples_is_left_out_and_that_is_said(bench) -> None:
+    model, measurements = bench
+    torn, there = measurements[0], (measurements[0].time < 1.0) | (measurements[0].time > 1.6)
+    torn = dataclasses.replace(torn, time=torn.time[there], joint_position=torn.joint_position[there])
+    problem = Problem.of(model, [torn, *measurements[1:]], timestep=0.01)
+    assert torn.rollout_id not in problem.rollout_ids
+    assert f"{torn.rollout_id} left out: samples or commands are missing" in " ".join(problem.warnings)
+
+
 def test_without_its_policy_the_commands_are_replayed_and_that_is_said(bench) -> None:
     controllers, said = find_controllers(bench[1], "auto", None)
     assert controllers == {} and said.startswith("open loop: the recorded commands are replayed, since")

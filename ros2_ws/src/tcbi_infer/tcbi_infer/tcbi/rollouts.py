@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tcbi_infer.errors import InferError
+from tcbi_infer.gaps import unusable
 from tcbi_infer.statistics import RolloutArrays, from_measurements
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -15,6 +16,7 @@ from tcbi_sim.rigs import load_rig
 
 ENOUGH = 8  # rollouts, below which rollouts are cut into blocks so that their scatter can be seen
 LEAST_SAMPLES = 20
+FINE_S = 0.02  # a gap is longer
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,10 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
     if len(usable) < len(measurements):
         short = [m.rollout_id for m in measurements if not (len(m.time) >= LEAST_SAMPLES and len(m.commands.time))]
         warnings.append(f"{_some(short)} left out: fewer than {LEAST_SAMPLES} samples, or no command")
+    torn = {m.rollout_id for m in usable if _torn(m)}
+    if torn:
+        warnings.append(f"{_some(sorted(torn))} left out: samples or commands are missing in the middle")
+        usable = [m for m in usable if m.rollout_id not in torn]
     distinct = list({m.rollout_id: m for m in usable}.values())
     if len(distinct) < len(usable):
         warnings.append(
@@ -65,6 +71,11 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
             "itself; record rollouts with other seeds or slopes"
         )
     return distinct, warnings + _mixture(distinct)
+
+
+def _torn(m: Measurement) -> bool:
+    """Whether samples or commands are missing in it."""
+    return bool(unusable(m, np.arange(m.time[0], m.time[-1], FINE_S)).samples.any())
 
 
 def _identical(measurements: Sequence[Measurement]) -> bool:
