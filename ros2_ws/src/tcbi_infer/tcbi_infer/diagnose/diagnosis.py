@@ -22,7 +22,7 @@ from tcbi_infer.diagnose.judge import Judge, Judged, screened
 from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
-from tcbi_infer.diagnose.screen import Directions, Screen, simulate_directions
+from tcbi_infer.diagnose.screen import Directions, Screen, Targets, simulate_directions
 from tcbi_infer.diagnose.starts import start_points
 from tcbi_infer.diagnose.verdict import accept, ranked, rule
 from tcbi_sim.effect import EffectUse
@@ -32,7 +32,7 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
-FINE_TIMESTEP = 0.002  # s, with which a quick diagnosis compares its coarse one
+CLOSE_STEPS = (0.05, 0.03, 0.03, 0.02, 0.02, 0.02, 0.02)  # of finite differences; a fit that has converged ends before
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
 Progress = Callable[[str, float], None]  # stage, share done
 
@@ -51,7 +51,7 @@ class Settings:
     sealed_share: float = 0.2  # of the kinds of motion, opened at the very end
 
 
-QUICK = Settings(refine=2, timestep=0.005, per_joint=False, sealed_share=0.0)  # a first answer, from few motions
+QUICK = Settings(refine=2, per_joint=False, sealed_share=0.0)  # a first answer, from few motions
 
 
 def diagnose(
@@ -129,30 +129,28 @@ class _Run:
     def go(self) -> Diagnosis:
         """All stages in order."""
         coarse, nuisance = self.fit_base()
+        base = self._refit(coarse, nuisance)  # what a coarse time step gets wrong must not look like an effect
         self.progress("screening effects", 0.25)
         directions = simulate_directions(
             self.problem,
-            coarse,
+            base,
             nuisance,
             self.uses,
             self.sets,
             self.settings.coarse,
-            self.settings.seed,
             self._screened(),
         )
-        base = self._refit(coarse, nuisance)
         judge = Judge(self.problem, self.split, self.floor, nuisance, self.settings.timestep)
         before = judge.judge(base)
         if not directions.uses:
             return self._conclude(judge, before, self._drift(coarse, base), [], {}, Null.of_no_search(), directions)
-        screen = Screen(self.problem, coarse, nuisance, directions, self.sets)
-        data = screen.targets(coarse.residual[None])
+        screen = Screen(self.problem, base, nuisance, directions, self.sets)
+        data = screen.targets(base.residual[None])
         gains = screen.held_out(data)[:, :, 0]
-        mimicked = self._mimicked(screen, coarse)
         chosen = self._choose(directions, gains)
-        fits = self._fit_chosen(chosen, screen, data, coarse, nuisance)
+        fits = self._fit_chosen(chosen, screen, data, base, nuisance)
         self.progress("simulating nothing missing", 0.85)
-        leftover = min([coarse, *[f[0] for f in fits.values()]], key=lambda f: f.total).residual
+        leftover = min([base, *[fine for _, fine in fits.values()]], key=lambda f: f.total).residual
         null = simulate_null(
             self.problem, screen, nuisance, leftover, self.sets, np.random.default_rng(self.settings.seed)
         )
@@ -161,14 +159,12 @@ class _Run:
         evidence = [screened(use, gains[:, u], before.error) for u, use in enumerate(directions.uses) if u not in fits]
         for u, (rough, fine) in fits.items():
             use = directions.uses[u]
-            drift = self._drift(rough, fine) + mimicked.get(use, 0.0)
-            evidence.append(judge.evidence(use, after[use], before, drift))
+            evidence.append(judge.evidence(use, after[use], before, self._drift(rough, fine)))
         judged = []
         for e in evidence:
             accepted, reason = accept(e, null.threshold)
             judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
-        drift = self._drift(coarse, base) + mimicked.get("", 0.0)
-        return self._conclude(judge, before, drift, ranked(judged), after, null, directions)
+        return self._conclude(judge, before, self._drift(coarse, base), ranked(judged), after, null, directions)
 
     def fit_base(self) -> tuple[Fit, Nuisance]:
         """The base model's parameters from a grid of starts, then again with scatter between joints allowed for."""
@@ -187,7 +183,7 @@ class _Run:
         self.progress("fitting the base model", 0.12)
         nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
         again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
-        return again.run(first.unit[None], steps=(0.05, 0.03, 0.03, 0.02)), nuisance
+        return again.run(first.unit[None], steps=CLOSE_STEPS), nuisance
 
     def _full(self, residual: np.ndarray) -> np.ndarray:
         full = np.zeros_like(self.problem.observed)
@@ -216,19 +212,19 @@ class _Run:
         return chosen
 
     def _fit_chosen(
-        self, chosen: Sequence[int], screen: Screen, data, coarse: Fit, nuisance: Nuisance
+        self, chosen: Sequence[int], screen: Screen, data: Targets, base: Fit, nuisance: Nuisance
     ) -> dict[int, tuple[Fit, Fit]]:
         fits = {}
         for i, u in enumerate(chosen):
             model = screen.directions.models[u]
             self.progress(f"fitting {screen.directions.uses[u]}", 0.55 + 0.3 * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
-            starts = start_points(screen, data, u, coarse, fitter)
-            rough = fitter.run(starts, steps=(0.05, 0.03, 0.03, 0.02))
+            starts = start_points(screen, data, u, base, fitter)
+            rough = fitter.run(starts, steps=CLOSE_STEPS)
             fits[u] = rough, self._refit(rough, nuisance)
         return fits
 
-    def _alike(self, screen: Screen, data, chosen: Sequence[int]) -> dict[str, tuple[str, ...]]:
+    def _alike(self, screen: Screen, data: Targets, chosen: Sequence[int]) -> dict[str, tuple[str, ...]]:
         names = screen.directions.uses
         return {
             names[a]: tuple(
@@ -236,14 +232,6 @@ class _Run:
             )
             for a in chosen
         }
-
-    def _mimicked(self, screen: Screen, coarse: Fit) -> dict[str, np.ndarray]:
-        """For each use, how far the coarse time step alone shifts its optimum, where no finer fit measures it."""
-        if self.settings.timestep < self.settings.coarse:
-            return {}
-        fine = self.replay.predict(coarse.model, coarse.parameters[None], list(self.sets), FINE_TIMESTEP)[0]
-        change = np.where(self.problem.weight[self.sets] > 0, fine - coarse.predicted, 0.0)
-        return screen.shifts(screen.targets(np.nan_to_num([change, -change])))
 
     def _drift(self, coarse: Fit, fine: Fit) -> np.ndarray:
         """(P,) how far the optimum may still move below the fine time step, from how far it moved down to it."""

@@ -6,6 +6,7 @@ hundreds of simulated null data sets cost no further simulation.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -16,6 +17,7 @@ from tcbi_infer.diagnose.scatter import SCATTER
 from tcbi_sim.model import Model
 
 SIZES = (0.1, 0.35)  # of the range on one side of the null value
+CORNERS = (0.2, 0.8)  # of the range of a parameter without a null value
 ONE_SIZE = 0.2  # where one effect has many places
 SCREENED_SCATTER = 6.0  # standard deviations of the scatter between joints: one odd joint
 MOST_STRETCH = 1.6  # of a direction beyond the simulated size
@@ -43,36 +45,38 @@ class Directions:
     untestable: tuple[str, ...]
 
 
-def effect_points(model: Model, base_count: int, many: bool, rng: np.random.Generator) -> np.ndarray:
+def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
     """(n, q) unit vectors of an effect's own parameters at which to look, around its null values.
 
-    Axis points at two sizes, and for effects of several parameters a few random combinations; a single point for an
-    effect with one parameter and many places, where the straight line through it has to do.
+    Two sizes of each parameter that has a null value, and all of them together; those that have none, and say where or
+    how, stand at their nominal values and at the corners of their ranges. A single point for an effect with one
+    parameter and many places, where the straight line through it has to do.
     """
     own = model.parameters[base_count:]
     nominal = np.array([float(p.to_unit(p.nominal)) for p in own])
     null = np.array([float(p.to_unit(p.null)) if p.null is not None else np.nan for p in own])
-    sized = np.nonzero(np.isfinite(null))[0]
-    rest = np.where(np.isfinite(null), null, nominal)
-    points = []
+    sized, placed = np.nonzero(np.isfinite(null))[0], np.nonzero(~np.isfinite(null))[0]
     if many and len(own) == 1 and len(sized):
         up = 1 - null[0] >= null[0]
         return np.array([[null[0] + ONE_SIZE * (1 - null[0] if up else -null[0])]])
+    rest = np.where(np.isfinite(null), null, nominal)
+    corners = itertools.product(CORNERS, repeat=len(placed)) if len(placed) else ()
+    places = [rest[placed], *map(np.array, corners)]
+    points = []
     for i in sized:
         for sign, room in ((1, 1 - null[i]), (-1, null[i])):
             if room < 0.05:
                 continue
-            for size in SIZES:
+            for size, place in itertools.product(SIZES, places):
                 point = rest.copy()
+                point[placed] = place
                 point[i] = null[i] + sign * size * room
                 points.append(point)
-    extra = 0 if len(own) == 1 else 4 * (len(own) - 1)
-    for _ in range(extra):
-        point = rng.random(len(own))
-        size = rng.choice(SIZES)
-        point[sized] = null[sized] + (point[sized] - null[sized]) * size
+    for ends in itertools.product((0.0, 1.0), repeat=len(sized)) if len(sized) > 1 else ():
+        point = rest.copy()
+        point[sized] += SIZES[-1] * (np.array(ends) - point[sized])
         points.append(point)
-    return np.array(points)
+    return np.unique(points, axis=0)
 
 
 def simulate_directions(
@@ -82,11 +86,9 @@ def simulate_directions(
     uses: Sequence[str],
     sets: np.ndarray,
     timestep: float,
-    seed: int,
     progress: Callable[[str], None] | None = None,
 ) -> Directions:
     """Simulates every use at a few sizes, base parameters at the base fit."""
-    rng = np.random.default_rng(seed)
     reference = problem.replay.predict(base.model, base.parameters[None], list(sets), timestep)[0]
     names = [use.partition(":")[0] for use in uses]
     owner, units, changes, bounds, models, untestable, kept = [], [], [], [], [], [], []
@@ -98,7 +100,7 @@ def simulate_directions(
             points = np.array([[float(scale.to_unit(1.0 + SCREENED_SCATTER * SCATTER))]])
             change = SCREENED_SCATTER * nuisance.effect[sets][..., nuisance.names.index(joint)][None]
         else:
-            points = effect_points(model, len(base.unit), names.count(name) > 1, rng)
+            points = effect_points(model, len(base.unit), names.count(name) > 1)
             vectors = np.concatenate([np.repeat(base.unit[None], len(points), axis=0), points], axis=1)
             predicted = problem.replay.predict(model, to_physical(model, vectors), list(sets), timestep)
             change = predicted - reference
@@ -280,22 +282,6 @@ class Screen:
             [float(p.to_unit(p.null)) if p.null is not None else v for p, v in zip(own, point, strict=True)]
         )
         return np.clip(null + alpha * (point - null), 0.0, 1.0)
-
-    def shifts(self, targets: Targets) -> dict[str, np.ndarray]:
-        """For each use, and for "" (no effect): how far (P + q) the data sets would move its fit, at most."""
-        alpha, score, base, slope = self.solve(targets, np.arange(len(self.sets)))
-        count = self.base_count
-        result = {"": np.abs(base[:count]).max(axis=1)}
-        for u, use in enumerate(self.directions.uses):
-            moved = []
-            for d in range(alpha.shape[1]):
-                mine = np.nonzero(self.directions.use == u)[0]
-                k = mine[np.argmax(score[mine, d])]
-                point = self.directions.unit[k]
-                own = alpha[k, d] * (self._sized(u, point, 1.0) - self._sized(u, point, 0.0))
-                moved.append(np.r_[base[:count, d] - slope[:count, k] * alpha[k, d], own])
-            result[use] = np.abs(moved).max(axis=0)
-        return result
 
     def likeness(self, a: int, b: int, targets: Targets) -> float:
         """Cosine between the best directions of two uses, base parameters and nuisances profiled out."""
