@@ -14,7 +14,6 @@ import numpy as np
 import xarray as xr
 
 from tcbi_infer.tcbi.result import Result
-from tcbi_sim.model import Model
 
 DRAWS = 1000
 
@@ -86,24 +85,3 @@ def write(path: Path, result: Result) -> None:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def updated(result: Result) -> Model:
-    """An unsaved child of the model whose particles are the posterior, with the evidence that made it."""
-    return result.model.with_particles(
-        result.particles,
-        result.log_weights,
-        inference={
-            "method": result.method,
-            "task": result.task,
-            "rollouts": list(result.rollouts),
-            "statistics": list(result.statistics),
-            "closed_loop": result.closed_loop,
-            "parameters": [e.as_json() for e in result.estimates],
-            "ess": result.ess,
-            "simulations": result.simulations,
-            "seconds": result.seconds,
-            "converged": result.converged,
-            "warnings": list(result.warnings),
-        },
-    )

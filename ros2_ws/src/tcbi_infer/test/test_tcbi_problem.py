@@ -94,7 +94,7 @@ def test_a_damaged_state_is_not_used(tmp_path: Path) -> None:
 
 def test_the_posterior_opens_in_arviz_and_becomes_a_model_version(result: Result, tmp_path: Path) -> None:
     store = ModelStore(tmp_path)
-    saved = store.save(posterior.updated(result))
+    saved = store.save(result.updated_model())
     path = store.models / saved.version / "posterior.nc"
     posterior.write(path, result)
     assert saved.parent == "servo_bench-v0"

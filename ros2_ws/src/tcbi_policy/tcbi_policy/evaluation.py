@@ -9,7 +9,7 @@ comparison.better        # with 95 % confidence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from tcbi_policy.artefact import Actor
 from tcbi_policy.environment import TIMESTEP_S
@@ -129,5 +129,5 @@ def compare_paired(before: Evaluation, after: Evaluation, confidence: float = 0.
         return Comparison(np.nan, -np.inf, pairs, confidence, np.nan, np.nan)
     difference = new - old
     error = difference.std(ddof=1) / np.sqrt(pairs)
-    low = difference.mean() - float(stats.t.ppf(confidence, pairs - 1)) * error
+    low = difference.mean() - float(stdtrit(pairs - 1, confidence)) * error
     return Comparison(float(difference.mean()), float(low), pairs, confidence, float(old.mean()), float(new.mean()))

@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
             watch=lambda p: advance(done=p.generation - 1 + p.share, total=p.generations, note=_state(p, model.names)),
             **settings,
         )
-    saved = store.save(posterior.updated(result))
+    saved = store.save(result.updated_model())
     posterior.write(store.models / saved.version / "posterior.nc", result)
     for line in result.warnings:
         console.note(line)

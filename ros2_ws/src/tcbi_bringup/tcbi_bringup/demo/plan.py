@@ -79,7 +79,7 @@ QUICK = Plan(
     settings=QUICK_DIAGNOSIS,
     particles=16,
     generations=2,
-    training_s=15.0,
+    training_s=12.0,
 )
 
 

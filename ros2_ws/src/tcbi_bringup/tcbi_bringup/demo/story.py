@@ -21,7 +21,6 @@ from tcbi_infer.compare.comparison import Comparison, compare
 from tcbi_infer.diagnose.adopt import adopt
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
-from tcbi_infer.posterior import updated
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result
@@ -159,7 +158,7 @@ class Story:
                 generations=plan.generations,
             )
         self.out.inference = result
-        saved = store.save(updated(result))
+        saved = store.save(result.updated_model())
         self.out.models.append(saved)
         told = [f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in result.estimates if e.identified]
         self.say(f"{saved.version}: {'; '.join(told) or 'the data narrow no parameter'}")

@@ -7,7 +7,7 @@ folds; its prediction of the fold is simulated, not linearised.
 import dataclasses
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from tcbi_infer.diagnose.fit import Fit, Nuisance, bounded_step, to_physical
 from tcbi_infer.diagnose.problem import Problem
@@ -131,6 +131,6 @@ def intervals(
     grow = np.sqrt(np.maximum(1.0, np.diag(jackknife) / np.diag(curvature)))
     grow *= max(1.0, misfit)
     covariance = curvature * np.outer(grow, grow) + np.diag(drift**2 / 3.0)
-    quantile = stats.t.ppf(0.5 + level / 2, max(folds - 1, 2))
+    quantile = stdtrit(max(folds - 1, 2), 0.5 + level / 2)
     half = quantile * np.sqrt(np.diag(covariance))
     return np.clip(fit.unit - half, 0, 1), np.clip(fit.unit + half, 0, 1), covariance

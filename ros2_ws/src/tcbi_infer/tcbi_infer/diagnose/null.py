@@ -9,7 +9,7 @@ search is run on each.
 import dataclasses
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.problem import Problem
@@ -97,5 +97,5 @@ def simulate_null(
         maxima.extend(paired_statistic(gains).max(axis=0))
     values = np.array(maxima)
     kinds_count = len(screen.folds)
-    single = float(stats.t.ppf(LEVEL, max(kinds_count - 1, 1)))
+    single = float(stdtrit(max(kinds_count - 1, 1), LEVEL))
     return Null(max(float(np.quantile(values, LEVEL)), single), values, kinds_count)

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Evidence
@@ -52,7 +52,7 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
             result.append(other)
             continue
         se = float(np.std(difference, ddof=1) / np.sqrt(count))
-        if difference.mean() < float(stats.t.ppf(0.95, count - 1)) * se:
+        if difference.mean() < float(stdtrit(count - 1, 0.95)) * se:
             result.append(other)
     return result
 

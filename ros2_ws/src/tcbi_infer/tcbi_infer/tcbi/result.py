@@ -76,6 +76,26 @@ class Result:
         rng = np.random.default_rng(seed)
         return self.particles[rng.permutation(resample(rng, np.exp(self.log_weights), count))]
 
+    def updated_model(self) -> Model:
+        """An unsaved child of the model whose particles are the posterior, with the evidence that made it."""
+        return self.model.with_particles(
+            self.particles,
+            self.log_weights,
+            inference={
+                "method": self.method,
+                "task": self.task,
+                "rollouts": list(self.rollouts),
+                "statistics": list(self.statistics),
+                "closed_loop": self.closed_loop,
+                "parameters": [e.as_json() for e in self.estimates],
+                "ess": self.ess,
+                "simulations": self.simulations,
+                "seconds": self.seconds,
+                "converged": self.converged,
+                "warnings": list(self.warnings),
+            },
+        )
+
 
 def estimates(
     parameters: Sequence[Parameter], unit: np.ndarray, log_weights: np.ndarray, seed: int = 0
