@@ -43,6 +43,7 @@ class Settings:
 
     refine: int = 3  # candidates that get a full fit
     per_effect: int = 2  # sites of one effect among them
+    least_share: float = -np.inf  # of the best candidate's gain in screening, that a full fit takes
     timestep: float = 0.002  # s, of the final fits
     coarse: float = 0.005  # s, of the screening and of first fits
     seed: int = 0
@@ -51,7 +52,7 @@ class Settings:
     sealed_share: float = 0.2  # of the kinds of motion, opened at the very end
 
 
-QUICK = Settings(refine=2, per_joint=False, sealed_share=0.0)  # a first answer, from few motions
+QUICK = Settings(refine=2, least_share=0.2, per_joint=False, sealed_share=0.0)  # a first answer, from few motions
 
 
 def diagnose(
@@ -183,7 +184,8 @@ class _Run:
         self.progress("fitting the base model", 0.12)
         nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
         again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
-        return again.run(first.unit[None], steps=CLOSE_STEPS), nuisance
+        fit = again.run(first.unit[None], steps=CLOSE_STEPS)
+        return again.escape(fit, width, CLOSE_STEPS), nuisance
 
     def _full(self, residual: np.ndarray) -> np.ndarray:
         full = np.zeros_like(self.problem.observed)
@@ -201,7 +203,8 @@ class _Run:
 
     def _choose(self, directions: Directions, gains: np.ndarray) -> list[int]:
         """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
-        order = np.argsort(-gains.mean(axis=0))
+        mean = gains.mean(axis=0)
+        order = [u for u in np.argsort(-mean) if mean[u] >= self.settings.least_share * mean.max()]
         chosen: list[int] = []
         per_effect: dict[str, int] = {}
         for u in order:
@@ -221,6 +224,7 @@ class _Run:
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
             starts = start_points(screen, data, u, base, fitter)
             rough = fitter.run(starts, steps=CLOSE_STEPS)
+            rough = fitter.escape(rough, len(base.unit), CLOSE_STEPS)
             fits[u] = rough, self._refit(rough, nuisance)
         return fits
 

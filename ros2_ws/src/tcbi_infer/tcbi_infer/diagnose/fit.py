@@ -17,6 +17,7 @@ STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each i
 STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
 TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with each step
 TOGETHER_STEP = 0.04  # of a range: only while the steps are as wide as this
+LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
@@ -212,6 +213,21 @@ class Fitter:
             return np.array(trials), deltas
         return np.array(trials + together), deltas + [delta + move_delta] * len(together)
 
+    def escape(self, fit: Fit, count: int, steps: Sequence[float]) -> Fit:
+        """The fit, or a better one begun far off along one of the first `count` parameters.
+
+        Whether a foot slips or sticks turns at some friction, so the loss has several valleys along it.
+        """
+        far = np.array([at_level(fit.unit, p, fit.unit[p] + leap) for p in range(count) for leap in LEAPS])
+        far = far[np.abs(far - fit.unit).max(axis=1) > min(np.abs(LEAPS)) / 2]
+        losses = self.start_losses(self.predict(far), fit.nuisance)
+        (here,) = self.start_losses(fit.predicted[None], fit.nuisance)
+        best = int(np.argmin(losses))
+        if not losses[best] < here:
+            return fit
+        other = self.run(far[best][None], fit.nuisance, steps)
+        return other if self.start_losses(other.predicted[None], other.nuisance)[0] < here else fit
+
     def polish(self, fit: Fit) -> Fit:
         """A fit at another time step carried on at this one, with its slopes, which hardly depend on the step."""
         fine = self.run(fit.unit[None], fit.nuisance, POLISH, (1.0, 0.5), known=(fit.jacobian, fit.bend))
@@ -289,6 +305,13 @@ def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray
         if p.low >= 0 and (p.unit.startswith(("kg", "N"))):
             result[i] = p.to_unit(np.clip(float(p.from_unit(unit[i])) * factor, p.low, p.high))
     return result
+
+
+def at_level(unit: np.ndarray, parameter: int, level: float) -> np.ndarray:
+    """(P,) unit vector with one parameter elsewhere in its range."""
+    moved = unit.copy()
+    moved[parameter] = np.clip(level, 0.02, 0.98)
+    return moved
 
 
 def probe(unit: np.ndarray, step: float) -> np.ndarray:
