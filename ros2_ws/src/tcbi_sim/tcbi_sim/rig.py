@@ -16,6 +16,7 @@ from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 
 Values = dict[str, np.ndarray]  # parameter or constant name -> (B,)
+FIRM_FRICTION = (0.999, 0.9995, 0.001, 0.5, 2.0)  # solimp_friction with which joints that stick do not creep
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,9 @@ from tcbi_infer.diagnose.fit import Fit, Nuisance, bounded_step, to_physical
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.engine import simulate
 
+DISCREPANT = 1.5  # times the noise floor: a model that leaves this much lacks something, if only a little
+WIDEST = 6.0  # so much further off were parameters of emulated robots then, at the 90 % point (docs/diagnosis.md)
+
 
 @dataclasses.dataclass(frozen=True)
 class HeldOut:
@@ -98,6 +101,16 @@ def shared_error(residual: np.ndarray) -> float:
     return float((values**2).sum() / values.sum())
 
 
+def widening(misfit: float) -> float:
+    """By how much a model that leaves more than noise is less sure of its parameters than its own motions say.
+
+    Args:
+      misfit: error over the noise floor on unseen motions.
+    """
+    seen = np.clip((misfit - 1.0) / (DISCREPANT - 1.0), 0.0, 1.0)
+    return float(max(misfit, 1.0 + (WIDEST - 1.0) * seen))
+
+
 def intervals(
     fit: Fit, held: HeldOut, drift: np.ndarray, misfit: float, level: float = 0.9
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -105,9 +118,8 @@ def intervals(
 
     The spread is the larger of two: the curvature of the loss, in which samples count by their autocorrelation and
     channels by their correlation, and the jackknife over kinds of motion, which also sees what the model gets wrong
-    differently from motion to motion. It is multiplied by what the model leaves unexplained, in noise floors: a
-    discrepancy that all motions share shifts parameters in a way that no spread between motions shows. To it comes what
-    the simulation's own time step leaves.
+    differently from motion to motion. It is widened by `widening`: a discrepancy that all motions share shifts
+    parameters in a way that no spread between motions shows. To it comes what the simulation's own time step leaves.
 
     Args:
       fit: the fit.
@@ -129,7 +141,7 @@ def intervals(
     else:
         jackknife = np.zeros_like(curvature)
     grow = np.sqrt(np.maximum(1.0, np.diag(jackknife) / np.diag(curvature)))
-    grow *= max(1.0, misfit)
+    grow *= widening(misfit)
     covariance = curvature * np.outer(grow, grow) + np.diag(drift**2 / 3.0)
     quantile = stdtrit(max(folds - 1, 2), 0.5 + level / 2)
     half = quantile * np.sqrt(np.diag(covariance))

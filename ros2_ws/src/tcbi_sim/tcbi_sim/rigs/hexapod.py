@@ -12,7 +12,7 @@ import numpy as np
 from tcbi_contract.names import IMU_FRAME, JOINTS, LEG_JOINTS, LEGS
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
-from tcbi_sim.rig import Noise, Rig, Values
+from tcbi_sim.rig import FIRM_FRICTION, Noise, Rig, Values
 
 SIDES = {
     "lf": "left front",
@@ -241,6 +241,7 @@ def _add_hinge(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, axis: list[
         axis=axis,
         damping=[servo["damping"], 0, 0],
         armature=servo["armature"],
+        solimp_friction=list(FIRM_FRICTION),  # of the dry friction that an effect may add
         limited=True,
         range=[-limit - 0.05, limit + 0.05],  # mechanical stops just behind the commanded range
     )

@@ -17,14 +17,13 @@ import numpy as np
 
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
-from tcbi_sim.rig import Noise, Rig, Values
+from tcbi_sim.rig import FIRM_FRICTION, Noise, Rig, Values
 
 JOINT = "servo"
 MASS, LENGTH, KP, VOLTAGE = 0.49, 0.10, 200.0, 7.4  # where a recording does not say
 STALL_TORQUE = 0.52 / 5.0  # N m per V: XL330-M288, maker's sheet: 0.52 N m at 5 V
 BACK_EMF = 0.303**2 / 3.37  # N m s/rad: torque constant (N m/A) squared over resistance (Ohm), published as below
 ARMATURE = 0.0018  # kg m^2: 0.0017 to 0.0021 identified for this servo, github.com/Rhoban/bam, params/xl330
-FIRM = (0.999, 0.9995, 0.001, 0.5, 2.0)  # joints that stick do not creep
 
 
 @functools.cache
@@ -84,7 +83,7 @@ def build(blocks: int = 0) -> mujoco.MjSpec:
         damping=[0.015 + BACK_EMF, 0, 0],
         armature=ARMATURE,
         frictionloss=0.02,
-        solimp_friction=list(FIRM),
+        solimp_friction=list(FIRM_FRICTION),
     )
     arm.explicitinertial = True
     arm.mass, arm.ipos, arm.inertia = MASS, [0, 0, -LENGTH], [1e-5] * 3
