@@ -21,6 +21,7 @@ from tcbi_contract.running import run
 from tcbi_msgs.action import Retrain
 from tcbi_msgs.srv import LoadPolicy
 from tcbi_policy.retraining import Event, Job, Outcome, reference_of, retrain
+from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
 SWAP_TIMEOUT_S = 5.0
@@ -33,6 +34,7 @@ class RetrainParameters:
     store: str = parameter("", "folder of the store; empty for ~/.local/share/tcbi")
     threads: int = parameter(0, "processors for the physics; 0 for all", low=0, high=256)
     fallback_policy: str = parameter("gait:stand", "what a new policy must beat while no policy node runs")
+    stand_by: bool = parameter(True, "keep a process with all libraries loaded: 0.4 GB, and trainings begin 7 s sooner")
 
 
 class RetrainNode(Node):
@@ -45,6 +47,8 @@ class RetrainNode(Node):
         self._busy = False
         self._in_use = ""
         self._state: dict[str, Any] = {"state": "idle"}
+        self._waiting: TrainingProcess | None = None
+        self._stand_by()
         training, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
         self.create_subscription(
@@ -77,7 +81,10 @@ class RetrainNode(Node):
             job = self._job(handle.request)
             self.get_logger().info(f"training for {job.task} on model {job.model}, against {job.current}")
             outcome = retrain(
-                job, lambda event: self._on_event(handle, event), lambda: bool(handle.is_cancel_requested)
+                job,
+                lambda event: self._on_event(handle, event),
+                lambda: bool(handle.is_cancel_requested),
+                self._process,
             )
             self._finish(handle, result, outcome)
         except TcbiError as error:
@@ -87,7 +94,23 @@ class RetrainNode(Node):
         finally:
             self._busy = False
             self._state = {"state": "idle", "last": result.message}
+            self._stand_by()
         return result
+
+    def _stand_by(self) -> None:
+        if self.values.stand_by and self._waiting is None:
+            self._waiting = TrainingProcess()
+
+    def _process(self) -> TrainingProcess:
+        """The process that stands by, or a new one."""
+        process, self._waiting = self._waiting or TrainingProcess(), None
+        return process
+
+    def destroy_node(self) -> None:
+        """End the process that stands by, then the node."""
+        if self._waiting is not None:
+            self._waiting.close()
+        super().destroy_node()
 
     def _job(self, goal: Retrain.Goal) -> Job:
         current = reference_of(self._in_use, self._store) if self._in_use else self.values.fallback_policy

@@ -107,13 +107,19 @@ def fine_tuning(config: TrainingConfig) -> TrainingConfig:
     )
 
 
-def retrain(job: Job, on_event: Callable[[Event], None], cancelled: Callable[[], bool] = lambda: False) -> Outcome:
+def retrain(
+    job: Job,
+    on_event: Callable[[Event], None],
+    cancelled: Callable[[], bool] = lambda: False,
+    process: Callable[[], TrainingProcess] = TrainingProcess,
+) -> Outcome:
     """Do a job.
 
     Args:
       job: what to do.
       on_event: receives the events of training.py.
       cancelled: asked ten times a second; once it is true the training ends within a second.
+      process: gives the process to train in, which may have been standing by.
 
     Raises:
       TcbiError: the job cannot be done, or the training failed again and again.
@@ -121,7 +127,7 @@ def retrain(job: Job, on_event: Callable[[Event], None], cancelled: Callable[[],
     run = plan(job)
     store = ModelStore(job.store)
     folder = write_run(store.folder("runs") / run.key("retrain"), run)
-    comparison = _follow(folder, on_event, cancelled)
+    comparison = _follow(folder, on_event, cancelled, process)
     if comparison is None:
         message = "cancelled; the same request goes on from the last checkpoint"
         return Outcome(False, True, "", "", float("nan"), float("nan"), message)
@@ -136,12 +142,18 @@ def retrain(job: Job, on_event: Callable[[Event], None], cancelled: Callable[[],
     return Outcome(comparison["better"], False, reference, path, before, after, statement)
 
 
-def _follow(folder: Path, on_event: Callable[[Event], None], cancelled: Callable[[], bool]) -> Event | None:
+def _follow(
+    folder: Path,
+    on_event: Callable[[Event], None],
+    cancelled: Callable[[], bool],
+    process: Callable[[], TrainingProcess],
+) -> Event | None:
     """Run the subprocess, again if it dies; the comparison at its end, or None if cancelled."""
     for attempt in range(RESTARTS + 1):
         try:
-            with TrainingProcess(folder) as process:
-                return _listen(process, on_event, cancelled)
+            with process() as running:
+                running.begin(folder)
+                return _listen(running, on_event, cancelled)
         except TrainingError as error:
             if attempt == RESTARTS or "ended with status" in str(error):
                 raise

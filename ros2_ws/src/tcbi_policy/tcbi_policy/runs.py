@@ -9,6 +9,7 @@
 This module imports neither torch nor rclpy. A process that died is started again on the same folder and goes on.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -30,6 +31,7 @@ from tcbi_policy.errors import TrainingError
 
 GRACE_S = 0.5  # between asking a process to end and ending it
 SPEC = "run.json"
+ERRORS = "errors.log"
 
 
 @dataclass(frozen=True)
@@ -84,20 +86,31 @@ def write_run(folder: Path, run: Run) -> Path:
 
 
 class TrainingProcess:
-    """`python -m tcbi_policy.training FOLDER`, in a process group of its own and at low priority."""
+    """`python -m tcbi_policy.training`, in a process group of its own.
 
-    def __init__(self, folder: Path):
-        environment = dict(os.environ, PYTHONUNBUFFERED="1")
-        self._errors = (folder / "errors.log").open("ab")
+    Without a folder it loads its libraries, which takes seconds, and stands by until `begin`.
+    """
+
+    def __init__(self, folder: Path | None = None):
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tcbi_policy.training", str(folder)],
-            stdout=subprocess.PIPE, stderr=self._errors, stdin=subprocess.DEVNULL,
-            env=environment, start_new_session=True,
+            [sys.executable, "-m", "tcbi_policy.training"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env=dict(os.environ, PYTHONUNBUFFERED="1"), start_new_session=True,
         )  # fmt: skip
-        self._folder = folder
+        self._folder = Path()
         self._events: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
+        if folder is not None:
+            self.begin(folder)
+
+    def begin(self, folder: Path) -> None:
+        """Train in a run's folder, once."""
+        assert self._process.stdin is not None
+        self._folder = folder
+        with contextlib.suppress(BrokenPipeError):  # it has died; `check` tells
+            self._process.stdin.write(f"{folder.absolute()}\n")
+            self._process.stdin.close()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -105,7 +118,7 @@ class TrainingProcess:
             try:
                 self._events.put(json.loads(line))
             except ValueError:  # a library wrote to standard output
-                self._errors.write(line)
+                sys.stderr.write(line)
         self._events.put(None)
 
     @property
@@ -143,11 +156,10 @@ class TrainingProcess:
         """
         status = self._process.wait()
         if status != 0:
-            lines = (self._folder / "errors.log").read_text(errors="replace").strip().splitlines()
+            log = self._folder / ERRORS
+            lines = log.read_text(errors="replace").strip().splitlines() if log.exists() else []
             how = f"signal {-status}" if status < 0 else f"status {status}"
-            raise TrainingError(
-                f"training ended with {how}: {lines[-1] if lines else 'no message'} (see {self._folder}/errors.log)"
-            )
+            raise TrainingError(f"training ended with {how}: {lines[-1] if lines else 'no message'} (see {log})")
 
     def end(self) -> None:
         """End the process within a second; what it has learnt up to its last checkpoint stays."""
@@ -160,14 +172,19 @@ class TrainingProcess:
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
 
+    def close(self) -> None:
+        """End it and let go of its pipes."""
+        self.end()
+        self._reader.join()
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.end()
-        self._reader.join()
-        assert self._process.stdout is not None
-        self._process.stdout.close()
-        self._errors.close()
+        self.close()

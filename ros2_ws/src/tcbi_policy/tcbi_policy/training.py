@@ -1,6 +1,6 @@
 """Train a policy on draws of a model, in a folder that a killed run resumes from.
 
-    python -m tcbi_policy.training RUN_FOLDER
+    echo RUN_FOLDER | python -m tcbi_policy.training
 
 The folder holds `run.json` (see runs.py), and after a while `checkpoint.safetensors` and `policy.safetensors` with its
 card. Standard output carries one JSON object a line, each with an `event`: `resumed`, `imitation`, `progress` (steps,
@@ -12,8 +12,10 @@ sets: so PPO gives the same weights whether it was killed or not, on the same ma
 
 import dataclasses
 import datetime
+import importlib
 import importlib.metadata
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -36,7 +38,7 @@ from tcbi_policy.evaluation import Conditions, Network, compare_paired, draw_con
 from tcbi_policy.gaits import CYCLES
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
-from tcbi_policy.runs import Run
+from tcbi_policy.runs import ERRORS, Run
 from tcbi_policy.stable_baselines import (
     HexapodVecEnv,
     freeze_actor,
@@ -291,23 +293,32 @@ def train_run(folder: Path, report: Report) -> None:
     report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, **facts})
 
 
-def main(args: list[str] | None = None) -> int:
-    """The subprocess's entry point."""
-    words = sys.argv[1:] if args is None else args
-    if len(words) != 1:
-        sys.stderr.write("usage: python -m tcbi_policy.training RUN_FOLDER\n")
-        return 2
+def main() -> int:
+    """The subprocess's entry point: standard input names the folder, or ends if nothing is to be done."""
+    _load_libraries()
+    name = sys.stdin.readline().strip()
+    if not name:
+        return 0
+    folder = Path(name)
+    with (folder / ERRORS).open("ab") as errors:
+        os.dup2(errors.fileno(), sys.stderr.fileno())
 
     def report(event: dict[str, Any]) -> None:
         sys.stdout.write(json.dumps(event) + "\n")
         sys.stdout.flush()
 
     try:
-        train_run(Path(words[0]), report)
+        train_run(folder, report)
     except TcbiError as error:
         sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 1
     return 0
+
+
+def _load_libraries() -> None:
+    """Have everything loaded that torch and the model store would load on first use."""
+    torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))])
+    importlib.import_module("xarray")
 
 
 if __name__ == "__main__":

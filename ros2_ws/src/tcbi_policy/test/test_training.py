@@ -178,3 +178,9 @@ def test_a_failing_process_tells_its_last_line(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v99", str(tmp_path)))
     with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="hexapod-v99"):
         list(process.events())
+
+
+def test_a_process_that_stands_by_ends_with_its_owner() -> None:
+    process = TrainingProcess()
+    process.close()
+    assert process.poll(5.0) == (None, True)
