@@ -59,7 +59,8 @@ def ladder(errors: Sequence[tuple[str, float]]) -> str:
         colors = [GREY, *([BLUE] * (len(values) - 1))]
         axes.barh(np.arange(len(values)), values, color=colors, height=0.62)
         for y, value in enumerate(values):
-            axes.text(value, y, f" {value:.2g}", va="center", ha="left")
+            beyond = max(value, 1.0) if value < 1.2 else value  # clear of the line at 1
+            axes.annotate(f"{value:.2g}", (beyond, y), (4, 0), textcoords="offset points", va="center", ha="left")
         axes.axvline(1.0, color=GREY, lw=0.8, ls="--")
         axes.set_yticks(np.arange(len(values)), labels)
         axes.invert_yaxis()
