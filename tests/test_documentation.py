@@ -10,13 +10,24 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
 
 
-def test_the_page_of_parameters_is_written_from_the_nodes():
-    spec = importlib.util.spec_from_file_location("write_parameters", ROOT / "docs" / "write_parameters.py")
+@pytest.mark.parametrize("page", ["parameters", "effects"])
+def test_the_pages_of_parameters_and_effects_are_written_from_the_code(page):
+    spec = importlib.util.spec_from_file_location(f"write_{page}", ROOT / "docs" / f"write_{page}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    written = (ROOT / "docs" / "parameters.md").read_text()
-    assert written == module.text(), "run: ./tcbi python docs/write_parameters.py"
+    written = (ROOT / "docs" / f"{page}.md").read_text()
+    assert written == module.text(), f"run: ./tcbi python docs/write_{page}.py"
+
+
+def test_the_effect_that_the_page_shows_is_fit_for_use(tmp_path):
+    from tcbi_sim.effect_check import check_file
+
+    (shown,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "effects.md").read_text(), re.DOTALL)
+    file = tmp_path / "cable_spring.py"
+    file.write_text(shown)
+    check = check_file(file, ("hexapod", "servo_bench"))
+    assert check.faults == () and {t.rig for t in check.trials} == {"hexapod", "servo_bench"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

@@ -1,15 +1,18 @@
 """A physical effect: what it is, where it is known from, its parameters, and how it changes a simulation.
 
-An effect is one small file in `effects/` (or in a folder of the user's own) that defines `EFFECT`. A use of an effect
-in a model is written `name`, or `name:site` for an effect that has a choice of place (a leg, a joint).
+An effect is one small file in `effects/` (or in a folder of the user's own, docs/effects.md) that defines `EFFECT`. A
+use of an effect in a model is written `name`, or `name:site` for an effect that has a choice of place (a leg, a joint).
 """
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
+from tcbi_contract.errors import TcbiError
+from tcbi_sim.errors import EffectError
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
@@ -101,6 +104,36 @@ class EffectUse:
     def key(self) -> str:
         """How the use is written."""
         return f"{self.effect.name}:{self.site}" if self.site else self.effect.name
+
+    def apply(self, fields: Fields, rig: Rig, row: Values) -> None:
+        """Write the fields for all parameters' values.
+
+        Raises:
+          EffectError: the effect's own code fails.
+        """
+        with self._named("apply"):
+            self.effect.apply(fields, rig, self.site, self.values(row))
+
+    def update(self, fields: Fields, rig: Rig, row: Values, state: State, interval: float) -> None:
+        """Write what has changed in the last `interval` (s), for an effect that changes with time; as `apply`."""
+        with self._named("update"):
+            assert self.effect.update is not None
+            self.effect.update(fields, rig, self.site, self.values(row), state, interval)
+
+    def edit(self, spec: mujoco.MjSpec, rig: Rig) -> None:
+        """Make the structural change, where there is one; raises as `apply`."""
+        if self.effect.edit:
+            with self._named("edit"):
+                self.effect.edit(spec, rig, self.site)
+
+    @contextlib.contextmanager
+    def _named(self, part: str) -> Iterator[None]:
+        try:
+            yield
+        except TcbiError:
+            raise
+        except Exception as e:
+            raise EffectError(self.key, part, e, self.effect.apply.__code__.co_filename) from e
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -1,10 +1,26 @@
 """Errors of this package that a user can cause and mend."""
 
+import traceback
+
 from tcbi_contract.errors import TcbiError
 
 
 class SimError(TcbiError):
     """Base of all errors of tcbi_sim."""
+
+
+class EffectError(SimError):
+    """The code of an effect that failed while it was used."""
+
+    def __init__(self, key: str, part: str, cause: Exception, file: str):
+        self.part, self.cause, self.file = part, cause, file
+        lines = [f.lineno for f in traceback.extract_tb(cause.__traceback__) if f.filename == file]
+        at = f" in line {lines[-1]}" if lines else ""
+        text = " ".join(str(cause).split())
+        super().__init__(
+            f"effect {key!r}: {part}() raised {type(cause).__name__}{at} of {file}: {text}; mend it, "
+            "./tcbi effects check tells more"
+        )
 
 
 class UnknownNameError(SimError):

@@ -3,10 +3,13 @@
 What MuJoCo itself cannot hold (how commands travel, how readings leave) is named in a comment at the top.
 """
 
+import dataclasses
+
 import mujoco
 import numpy as np
 
 from tcbi_sim.engine import Simulator, edited_spec
+from tcbi_sim.fields import CommandFields, SensingFields
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
@@ -53,9 +56,18 @@ def _copy(model: mujoco.MjModel, spec: mujoco.MjSpec) -> None:
     for geom in spec.geoms:
         own = model.geom(geom.name)
         geom.friction, geom.solref, geom.solimp = own.friction, own.solref, own.solimp
+        if own.type[0] == mujoco.mjtGeom.mjGEOM_BOX:
+            geom.pos, geom.quat = own.pos, own.quat
+    for site in spec.sites:
+        site.pos = model.site(site.name).pos
+    for tendon in spec.tendons:
+        stiffness = model.tendon_stiffness[model.tendon(tendon.name).id]
+        tendon.stiffness = [stiffness, *([0.0] * (len(tendon.stiffness) - 1))]
     for actuator in spec.actuators:
         own = model.actuator(actuator.name)
         actuator.gainprm, actuator.biasprm, actuator.forcerange = own.gainprm, own.biasprm, own.forcerange
+        if own.biasprm[2] > 0:  # MuJoCo would take it for a damping ratio where gain and bias are exactly opposite
+            actuator.gainprm[0] *= 1 + 1e-5
 
 
 def _acts_outside(model: Model, key: str) -> bool:
@@ -64,6 +76,6 @@ def _acts_outside(model: Model, key: str) -> bool:
 
     rig = load_rig(model.rig)
     use = find_use(key, rig)
-    names = {"latency", "deadband", "quantum", "loss", "offset", "speed", "joint_offset", "gyro_bias", "imu_tilt"}
+    names = {f.name for group in (CommandFields, SensingFields) for f in dataclasses.fields(group)} | {"compliance"}
     code = use.effect.apply.__code__
     return bool(names & set(code.co_names)) or use.effect.update is not None

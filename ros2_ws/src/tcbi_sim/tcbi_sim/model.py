@@ -2,6 +2,7 @@
 
 import dataclasses
 import datetime
+import zlib
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import find_use
-from tcbi_sim.errors import SimError
+from tcbi_sim.errors import SimError, UnknownNameError
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
@@ -92,7 +93,7 @@ class Model:
         if key in self.effects:
             raise SimError(f"model {self.version!r} has the effect {key!r} already")
         use = find_use(key, load_rig(self.rig))
-        rng = np.random.default_rng(len(self.effects))
+        rng = np.random.default_rng([len(self.effects), zlib.crc32(use.key.encode())])  # not the base model's draws
         new = np.stack([p.sample(rng, len(self.particles)) for p in use.parameters], axis=-1)
         return dataclasses.replace(
             self,
@@ -100,6 +101,33 @@ class Model:
             effects=(*self.effects, use.key),
             parameters=self.parameters + use.parameters,
             particles=np.concatenate([self.particles, new], axis=1),
+            parent=self.saved_version,
+            evidence={},
+            created=now(),
+        )
+
+    def without_effect(self, key: str) -> "Model":
+        """An unsaved child without one effect: the marginal of the joint distribution over all other parameters.
+
+        What the others had been fitted to beside the effect stays in them; only another fit would change that.
+
+        Args:
+          key: "name:site", or "name" where the model has the effect at one place.
+
+        Raises:
+          UnknownNameError: the model has no such effect, or at several places.
+        """
+        named = [use for use in self.effects if key in (use, use.partition(":")[0])]
+        if len(named) != 1:
+            raise UnknownNameError(f"effect of {self.version}", key, self.effects)
+        gone = f"{named[0]}."
+        kept = [i for i, name in enumerate(self.names) if not name.startswith(gone)]
+        return dataclasses.replace(
+            self,
+            version=f"{self.saved_version}-{named[0]}",
+            effects=tuple(use for use in self.effects if use != named[0]),
+            parameters=tuple(self.parameters[i] for i in kept),
+            particles=self.particles[:, kept],
             parent=self.saved_version,
             evidence={},
             created=now(),

@@ -22,6 +22,7 @@ from tcbi_sim.errors import SimError
 from tcbi_sim.fields import CommandFields, Fields, ModelFields, SensingFields
 from tcbi_sim.measurement import Scenario, quaternion_from_rpy
 from tcbi_sim.model import Model
+from tcbi_sim.power import ServoPower
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples, delay, multiply, rotate_back, sense
@@ -41,16 +42,25 @@ silence_mujoco()
 
 
 def compile_structure(rig: Rig, uses: Sequence[EffectUse], blocks: int = 0) -> mujoco.MjModel:
-    """The MuJoCo model of a rig with the structural changes of some effects, at nominal parameters."""
-    return edited_spec(rig, uses, blocks).compile()
+    """The MuJoCo model of a rig with the structural changes of some effects, at nominal parameters.
+
+    Raises:
+      SimError: MuJoCo refuses what an effect has changed.
+    """
+    try:
+        return edited_spec(rig, uses, blocks).compile()
+    except ValueError as e:
+        keys = ", ".join(use.key for use in uses if use.effect.edit)
+        raise SimError(
+            f"MuJoCo refuses {rig.name} as edit() of {keys} has changed it: {' '.join(str(e).split())}"
+        ) from e
 
 
 def edited_spec(rig: Rig, uses: Sequence[EffectUse], blocks: int = 0) -> mujoco.MjSpec:
     """A rig's spec with the structural changes of some effects."""
     spec = rig.build(blocks)
     for use in uses:
-        if use.effect.edit:
-            use.effect.edit(spec, rig, use.site)
+        use.edit(spec, rig)
     return spec
 
 
@@ -96,6 +106,9 @@ class Simulator:
             SensingFields.perfect(self.count, joints),
             self.rig.joint_names,
             np.zeros((self.count, joints)),
+            np.zeros((self.count, joints)),
+            np.ones((self.count, joints)),
+            np.ones(self.count, bool),
         )
         self.path = CommandPath(self.fields.command, [np.random.default_rng(0)] * self.count)
         self._taken = 0  # samples so far: times are counted, never added up
@@ -172,7 +185,7 @@ class Simulator:
         if np.array_equal(on, self._torque_on):
             return
         self._torque_on = np.array(on)
-        self._write_gain()
+        self._power.write(self._torque_on)
 
     def advance(self, duration: float) -> Samples:
         """Step on and return the sensors' readings at the sample rate, the last one at the new time.
@@ -190,8 +203,9 @@ class Simulator:
         for each in np.split(control, samples, axis=1):
             state = self._state()
             for use in self._drifting:
-                assert use.effect.update is not None
-                use.effect.update(self.fields, self.rig, use.site, use.values(self._row()), state, 1 / self.rate)
+                use.update(self.fields, self.rig, self._row(), state, 1 / self.rate)
+            if self._power.is_stale:
+                self._power.write(self._torque_on)
             parts.append(self._advance(each))
         return self._readings(Samples.concatenate(parts))
 
@@ -217,6 +231,9 @@ class Simulator:
             return np.arange(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
 
         self._joint_columns = np.concatenate([columns(f"position/{j}") for j in rig.joint_names])
+        measured = {mj.sensor(i).name for i in range(mj.nsensor)}
+        forces = [f"force/{j}" for j in rig.joint_names]  # there where links bend
+        self._force_columns = np.concatenate([columns(f) for f in forces]) if set(forces) <= measured else None
         self._contact_columns = (
             np.concatenate([columns(f"contact/{f}") for f in rig.foot_names]) if rig.foot_names else None
         )
@@ -225,6 +242,7 @@ class Simulator:
         self._actuators = self.fields.actuators()
         self._qpos = np.array([mj.joint(j).qposadr[0] for j in rig.joint_names])
         self._dofs = self.fields.dofs()
+        self._power = ServoPower(self.fields, self._actuators, self._dofs)
         self._hold = np.zeros((self.count, len(rig.joint_names)))
         # bound once, before any call: a field bound later would read zero until the call after
         self._sensordata = self._batch.bind("sensordata")
@@ -241,29 +259,21 @@ class Simulator:
         for group in (f.command, f.sensing):
             for name, values in vars(group).items():
                 values[...] = np.inf if name == "speed" else 0.0
-        f.powered_damping[...] = 0.0
+        f.powered_damping[...] = f.compliance[...] = 0.0
+        f.strength[...] = 1.0
+        f.begins[...] = False
+        f.begins[ids] = True
         self._write_terrain()
         keys = sorted({k for s in self.scenarios for k, _ in s.constants})
         constants = {k: np.array([s.constant(k, np.nan) for s in self.scenarios]) for k in keys}
         self.rig.apply(f, {p.name: row[p.name] for p in self.rig.parameters}, constants)
         for use in self.uses:
-            use.effect.apply(f, self.rig, use.site, use.values(row))
-        self._gain = f.model["actuator_gainprm"].copy(), f.model["actuator_biasprm"].copy()
-        self._damping_off = f.model["dof_damping"][:, self._dofs] if f.powered_damping.any() else None
+            use.apply(f, self.rig, row)
         self._torque_on[ids] = True
-        self._write_gain()
+        self._power.begin()
+        self._power.write(self._torque_on)
         if f.model.needs_constants:
             self._batch.set_const(ids)
-
-    def _write_gain(self) -> None:
-        if self._damping_off is not None:
-            added = np.where(self._torque_on[:, None], self.fields.powered_damping, 0.0)
-            self.fields.model["dof_damping"][:, self._dofs] = self._damping_off + added
-        if self._torque_on.all() and "actuator_gainprm" not in self.fields.model:
-            return
-        on = self._torque_on[:, None, None]
-        self.fields.model["actuator_gainprm"][...] = np.where(on, self._gain[0], 0.0)
-        self.fields.model["actuator_biasprm"][...] = np.where(on, self._gain[1], 0.0)
 
     def _write_terrain(self) -> None:
         if not self.rig.floating:
@@ -369,7 +379,10 @@ class Simulator:
         )
         position = None if self._tracker_columns is None else data[:, :, self._tracker_columns].copy()
         attitude, rates, acceleration = imu
-        return Samples(times, data[:, :, self._joint_columns].copy(), attitude, rates, acceleration, contact, position)
+        joints = data[:, :, self._joint_columns].copy()
+        if self._force_columns is not None:  # the encoder sits before the link that bends
+            joints += self.fields.compliance[:, None, :] * data[:, :, self._force_columns]
+        return Samples(times, joints, attitude, rates, acceleration, contact, position)
 
     def _remember(self, new: Samples) -> None:
         joined = new if self._raw is None else Samples.concatenate([self._raw, new])

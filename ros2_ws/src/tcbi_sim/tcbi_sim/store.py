@@ -22,6 +22,7 @@ from tcbi_sim.errors import SimError, UnknownNameError
 from tcbi_sim.mjcf import to_xml
 from tcbi_sim.model import Model, base_model, now
 from tcbi_sim.parameter import Parameter
+from tcbi_sim.places import default_root
 from tcbi_sim.rigs import RIGS
 
 FORMAT = 1
@@ -31,12 +32,6 @@ DRAWS = 1000
 
 class StoreError(SimError):
     """A model folder that cannot be read."""
-
-
-def default_root() -> Path:
-    """Where everything is kept unless the user says otherwise."""
-    given = os.environ.get("TCBI_STORE")
-    return Path(given) if given else Path.home() / ".local" / "share" / "tcbi"
 
 
 class ModelStore:

@@ -3,66 +3,67 @@
 import numpy as np
 import pytest
 
-from tcbi_sim.effects import candidates, find_use, library
+from tcbi_sim.effect_trial import try_use
+from tcbi_sim.effects import built_in, candidates, find_use
 from tcbi_sim.engine import simulate
 from tcbi_sim.errors import SimError
-from tcbi_sim.measurement import Commands, Measurement, Scenario
+from tcbi_sim.measurement import Commands, Scenario
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs import load_rig
+from tcbi_sim.simulator import Simulator
+from tcbi_sim.user_effects import incomplete, unusable
 
 HEXAPOD, BENCH = load_rig("hexapod"), load_rig("servo_bench")
-SCENARIO = Scenario("balance", 2.0, 0.1, -0.05)
-COMMANDS = Commands(np.arange(10) * 0.2, np.random.default_rng(0).uniform(-0.3, 0.3, (10, 18)))
-BENCH_SCENARIO = Scenario("bench", 2.0)
-STEPS = np.random.default_rng(0).normal(0, np.repeat([0.2, 0.01], 50))  # rad: far and fast, then in small steps
-BENCH_COMMANDS = Commands(np.arange(100) * 0.02, np.cumsum(STEPS)[:, None], 0.0)
-
-
-def replay(rig: str, key: str | None, values: dict[str, float]) -> Measurement:
-    model = base_model(rig)
-    row = {p.name: p.nominal for p in model.parameters} | values
-    if key:
-        model = model.with_effect(key)
-    scenario, commands = (SCENARIO, COMMANDS) if rig == "hexapod" else (BENCH_SCENARIO, BENCH_COMMANDS)
-    out = simulate(model, np.array([[row[n] for n in model.names]]), [scenario], commands=[commands], timestep=0.002)
-    assert not out.diverged.any()
-    return out.measurement(0)
-
-
-def difference(a: Measurement, b: Measurement, signals: tuple[str, ...]) -> float:
-    """The largest root mean square difference of some signals."""
-    pairs = [(getattr(a, s), getattr(b, s)) for s in signals]
-    return max(float(np.sqrt(np.mean((x - y) ** 2))) for x, y in pairs if x is not None and y is not None)
-
-
-USES = [("hexapod", u.key) for u in candidates(HEXAPOD) if u.site in ("", "lm", "lm_femur")]
-USES += [("servo_bench", u.key) for u in candidates(BENCH)]
+CONTRACT = {
+    "coulomb_friction",
+    "viscous_damping",
+    "stribeck_friction",
+    "rotor_inertia",
+    "command_latency",
+    "sensor_latency",
+    "backlash",
+    "torque_saturation",
+    "speed_limit",
+    "thermal_fading",
+    "battery_sag",
+    "command_deadband",
+    "lost_commands",
+    "weak_leg",
+    "gain_scatter",
+    "joint_offset",
+    "payload",
+    "link_flexibility",
+    "soft_ground",
+    "slippery_ground",
+    "imu_tilt",
+    "gyro_bias",
+    "slope_error",
+    "cable_pull",
+}
+TRIED = ("", "lm", "lm_femur", "servo")  # one site of each kind
+USES = [
+    (rig.name, u.key)
+    for rig in (HEXAPOD, BENCH)
+    for u in candidates(rig)
+    if u.site in TRIED and u.effect.name in built_in()
+]
 
 
 @pytest.mark.parametrize(("rig", "key"), USES)
-def test_an_effect_vanishes_at_its_null_value_and_acts_at_its_nominal_one(rig, key):
-    use = find_use(key, load_rig(rig))
-    null = {p.name: p.nominal if p.null is None else p.null for p in use.parameters}
-    base = replay(rig, None, {})
-    structural = use.effect.edit is not None
-    signals = ("joint_position", "attitude") if structural else ("joint_position", "attitude", "angular_velocity")
-    at_null = difference(base, replay(rig, key, null), signals)
-    acting = difference(base, replay(rig, key, {p.name: p.nominal for p in use.parameters}), signals)
-    assert acting > 1e-3
-    assert at_null < (0.3 * acting if structural else 1e-9), "an added joint costs a little even at its null value"
+def test_an_effect_vanishes_at_null_acts_at_nominal_stays_finite_at_the_ends_and_leaves_others_alone(rig, key):
+    trial = try_use(find_use(key, load_rig(rig)), load_rig(rig))
+    assert trial.faults == ()
+    assert max(trial.change.values()) > 1e-3
 
 
-@pytest.mark.parametrize("effect", library().values(), ids=library())
+@pytest.mark.parametrize("effect", built_in().values(), ids=built_in())
 def test_an_effect_says_what_it_is_and_where_it_is_known_from(effect):
-    assert len(effect.physics.split()) >= 15
-    assert effect.source
-    assert any(p.null is not None for p in effect.parameters)
-    assert all(p.unit and p.description for p in effect.parameters)
+    assert unusable(effect) == [] and incomplete(effect) == []
 
 
-def test_at_least_six_effects_suit_a_hexapod_and_some_a_bench():
-    assert {"coulomb_friction", "viscous_damping", "command_latency", "backlash", "payload"} <= set(library())
-    assert len({u.effect.name for u in candidates(HEXAPOD)}) >= 16
+def test_the_library_has_every_effect_of_the_contract():
+    assert set(built_in()) >= CONTRACT
+    assert {u.effect.name for u in candidates(HEXAPOD)} >= CONTRACT
     assert candidates(BENCH) and not {u.effect.name for u in candidates(BENCH)} & {"weak_leg", "payload", "imu_tilt"}
 
 
@@ -77,17 +78,93 @@ def test_an_effect_that_the_rig_cannot_have_is_refused_with_its_reason():
         find_use("payload", BENCH)
 
 
-def test_a_users_own_effect_is_found_in_a_folder(tmp_path, monkeypatch):
-    text = (
-        "from tcbi_sim.effect import Effect\nfrom tcbi_sim.parameter import Parameter\n"
-        "X = Parameter('x', '1', 0.0, 1.0, 0.5, null=0.0)\n"
-        "EFFECT = Effect('my_effect', 'physics', 'source', (X,), lambda f, r, s, v: None)\n"
+def bench(key: str, **values: float) -> Simulator:
+    """A bench that holds its arm level, with one effect."""
+    model = base_model("servo_bench").with_effect(key)
+    row = {p.name: p.nominal for p in model.parameters} | {f"{key}.{n}": v for n, v in values.items()}
+    scenario = Scenario("bench", 2.0, initial_joint_position=(np.pi / 2,))
+    return Simulator(model, np.array([[row[n] for n in model.names]] * 2), [scenario] * 2, threads=1)
+
+
+@pytest.mark.parametrize("key", ["battery_sag", "thermal_fading"])
+def test_servos_weaken_under_load_and_a_new_episode_begins_fresh_while_others_go_on(key):
+    simulator = bench(key, time_constant=5.0)
+    simulator.advance(1.0)
+    after_load = simulator.fields.strength.copy()
+    assert (after_load < 0.99).all()
+    limit, gain = (simulator.fields.model[f][:, 0] for f in ("actuator_forcerange", "actuator_gainprm"))
+    np.testing.assert_allclose(limit[:, 1], after_load[:, 0] * 0.104 * 7.4, rtol=1e-9)
+    np.testing.assert_allclose(gain[:, 0], after_load[:, 0] * 4e-3 * 200, rtol=1e-9)
+    simulator.reset(ids=np.array([1]))
+    np.testing.assert_allclose(simulator.fields.strength[:, 0], [after_load[0, 0], 1.0])
+
+
+def test_a_servo_that_was_off_comes_back_as_weak_as_it_was():
+    simulator = bench("thermal_fading", time_constant=300.0)
+    simulator.advance(1.0)
+    weak = simulator.fields.model["actuator_gainprm"][0, 0, 0]
+    simulator.set_torque(False)
+    assert simulator.fields.model["actuator_gainprm"][0, 0, 0] == 0
+    simulator.advance(0.1)
+    simulator.set_torque(True)
+    assert simulator.fields.model["actuator_gainprm"][0, 0, 0] == pytest.approx(weak, rel=0.01)
+
+
+def test_a_link_bends_by_its_compliance_times_the_torque_behind_its_encoder():
+    simulator = bench("link_flexibility", compliance=0.2)
+    simulator.command(np.full((2, 1), np.pi / 2))
+    reading = simulator.advance(10.0).joint_position[0, -1, 0]
+    link = simulator.materialise(0)[1].qpos[0]
+    torque = simulator.materialise(0)[1].actuator_force[0]
+    assert torque == pytest.approx(4e-3 * 200 * (np.pi / 2 - reading), rel=1e-6), "the servo is as stiff as before"
+    assert reading - link == pytest.approx(0.2 * torque, rel=1e-6)
+    assert torque == pytest.approx(0.49 * 9.81 * 0.10 * np.sin(link), abs=0.025), "it holds the arm, less friction"
+
+
+@pytest.mark.parametrize(("slowness", "fastest"), [(0.0, 18.0), (0.5, 1.95)])
+def test_a_motor_gets_no_faster_than_where_its_torque_is_used_up(slowness, fastest):
+    model = base_model("servo_bench").with_effect("speed_limit")
+    row = {"gain": 0.05, "damping": 1e-3, "friction": 1e-3, "speed_limit.slowness": slowness}
+    commands = Commands(np.array([0.0]), np.array([[3.0]]), 0.0)
+    values = np.array([[row[n] for n in model.names]])
+    scenario = Scenario("bench", 1.0, constants=(("mass", 0.01),))
+    out = simulate(model, values, [scenario], commands=[commands], timestep=0.001)
+    speed = np.diff(out.joint_position[0, 0, :, 0]).max() * out.rig.rate
+    assert speed < 2.0 if slowness else speed > 5.0
+    assert speed == pytest.approx(fastest, rel=0.5)
+
+
+def test_a_slow_motion_does_not_know_of_the_speed_limit():
+    values = np.array([[4e-3, 0.015, 0.02], [4e-3, 0.015, 0.02]])
+    model = base_model("servo_bench").with_effect("speed_limit")
+    commands = Commands(np.arange(20) * 0.1, 0.02 * np.sin(np.arange(20) * 0.3)[:, None], 0.1)
+    out = simulate(
+        model, np.c_[values, [0.0, 0.3]], [Scenario("bench", 2.0)], commands=[commands], timestep=0.001
+    ).joint_position
+    np.testing.assert_allclose(out[0], out[1], atol=1e-6)
+
+
+def standing(key: str, rows: list[dict[str, float]], scenario: Scenario) -> np.ndarray:
+    """(N, 3) m, how far the trunk gets in a rollout without commands beyond the first posture."""
+    model = base_model("hexapod").with_effect(key)
+    nominal = {p.name: p.nominal for p in model.parameters}
+    values = np.array([[(nominal | {f"{key}.{k}": v for k, v in r.items()})[n] for n in model.names] for r in rows])
+    commands = Commands(np.array([0.0]), np.zeros((1, 18)))
+    out = simulate(model, values, [scenario], commands=[commands], timestep=0.005)
+    assert out.position is not None
+    return out.position[:, 0, -1] - out.position[:, 0, 0]
+
+
+def test_a_cable_pulls_the_trunk_its_way():
+    moved = standing(
+        "cable_pull",
+        [{"x": 1.0, "y": 0.0}, {"x": -1.0, "y": 0.0}, {"x": 0.0, "y": 1.0}],
+        Scenario("s", 2.0, settle=0.0),
     )
-    (tmp_path / "mine.py").write_text(text)
-    monkeypatch.setenv("TCBI_EFFECTS", str(tmp_path))
-    library.cache_clear()
-    try:
-        assert "my_effect" in library()
-    finally:
-        monkeypatch.delenv("TCBI_EFFECTS")
-        library.cache_clear()
+    assert moved[0, 0] > 0.001 > -0.001 > moved[1, 0] and moved[2, 1] > 0.001
+
+
+def test_a_robot_slides_down_a_slope_only_where_the_ground_is_slippery():
+    patches = [{"grip": 1.0}, {"grip": 0.1, "begin": -0.3}, {"grip": 0.1, "begin": 1.0}]
+    moved = np.linalg.norm(standing("slippery_ground", patches, Scenario("s", 1.0, 0.2, 0.0)), axis=1)
+    assert moved[1] > 0.05 and moved[0] < 0.01 and moved[2] < 0.01

@@ -42,8 +42,41 @@ def test_versions_are_numbered_by_rig_and_remembered_by_parent(store):
     assert store.load().version == first.version
 
 
+def test_what_plain_mujoco_cannot_hold_is_named_in_the_exported_mjcf():
+    model = base_model("hexapod").with_effect("link_flexibility").with_effect("battery_sag").with_effect("payload")
+    (line,) = [line for line in to_xml(model).splitlines() if "Not in this file" in line]
+    assert "link_flexibility" in line and "battery_sag" in line and "payload" not in line
+
+
+def test_draws_of_an_effects_prior_do_not_follow_other_parameters():
+    model = base_model("hexapod").with_effect("coulomb_friction").with_effect("backlash")
+    correlation = np.corrcoef(model.to_unit(model.particles).T) - np.eye(len(model.names))
+    assert np.abs(correlation).max() < 0.35  # of 200 independent draws: 5 standard deviations
+
+
+def test_removing_an_effect_leaves_the_marginal_of_the_others(store):
+    model = base_model("hexapod").with_effect("backlash").with_effect("weak_leg:lm")
+    weighted = store.save(model.with_particles(model.particles, np.log(np.linspace(1, 2, len(model.particles)))))
+    child = store.save(weighted.without_effect("backlash"))
+    assert (child.version, child.parent, child.effects) == ("hexapod-v2", "hexapod-v1", ("weak_leg:lm",))
+    kept = [i for i, name in enumerate(weighted.names) if not name.startswith("backlash.")]
+    np.testing.assert_array_equal(child.particles, weighted.particles[:, kept])
+    np.testing.assert_array_equal(child.log_weights, weighted.log_weights)
+    assert store.load("hexapod-v1").effects == ("backlash", "weak_leg:lm"), "the old version stays"
+    assert weighted.without_effect("weak_leg").effects == ("backlash",), "the place may be left out where it is one"
+
+
+def test_an_effect_that_the_model_does_not_have_or_has_at_two_places_is_refused():
+    model = base_model("hexapod").with_effect("weak_leg:lm").with_effect("weak_leg:rf")
+    for key in ("weak_leg", "backlash", "weak_leg:lr"):
+        with pytest.raises(SimError, match=r"weak_leg:lm, weak_leg:rf"):
+            model.without_effect(key)
+
+
 def test_the_exported_mjcf_is_the_model(store):
-    model = base_model("hexapod").with_effect("coulomb_friction").with_effect("payload").with_effect("backlash")
+    model = base_model("hexapod")
+    for key in ("coulomb_friction", "payload", "backlash", "cable_pull", "slippery_ground", "speed_limit"):
+        model = model.with_effect(key)
     loaded, own = mujoco.MjModel.from_xml_string(to_xml(model)), materialise(model)
     for name in (
         "body_mass",
@@ -51,10 +84,15 @@ def test_the_exported_mjcf_is_the_model(store):
         "dof_frictionloss",
         "dof_damping",
         "actuator_gainprm",
+        "actuator_biasprm",
+        "tendon_stiffness",
+        "tendon_lengthspring",
+        "site_pos",
+        "geom_pos",
         "jnt_range",
         "geom_friction",
     ):
-        np.testing.assert_allclose(getattr(loaded, name), getattr(own, name), atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(getattr(loaded, name), getattr(own, name), rtol=2e-5, atol=1e-6, err_msg=name)
 
 
 @pytest.mark.parametrize(
