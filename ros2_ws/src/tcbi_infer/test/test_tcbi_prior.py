@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tcbi_infer.errors import InferError
-from tcbi_infer.tcbi.prior import MODEL, Prior, used_before
+from tcbi_infer.seen import used_before
+from tcbi_infer.tcbi.prior import MODEL, Prior
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from tcbi_infer.compare.comparison import compare
+from tcbi_infer.seen import used_before
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 
@@ -30,7 +31,7 @@ def history(models: Sequence[Model], measurements: Sequence[Measurement] = ()) -
     With measurements every version is compared on the same rollouts: those that no version was fitted to. Without,
     the figures are those that the diagnoses kept: of the versions they made, and of the versions they began with.
     """
-    seen = {r for m in models for r in m.evidence.get("rollouts", [])}
+    seen = {r for m in models for r in used_before(m)}
     unseen = [m for m in measurements if m.rollout_id not in seen]
     names = tuple(m.rollout_id for m in unseen)
     result = []

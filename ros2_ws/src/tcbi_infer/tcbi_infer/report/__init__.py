@@ -1,7 +1,14 @@
 """Reports that a newcomer understands without help: one HTML file, nothing to install, nothing to load."""
 
 from tcbi_infer.report.page import Figure, Report, Section, Table
-from tcbi_infer.report.sections import add_comparison, add_diagnosis, add_history, add_ladder, add_version
+from tcbi_infer.report.sections import (
+    add_comparison,
+    add_diagnosis,
+    add_difference,
+    add_history,
+    add_ladder,
+    add_version,
+)
 
 __all__ = [
     "Figure",
@@ -10,6 +17,7 @@ __all__ = [
     "Table",
     "add_comparison",
     "add_diagnosis",
+    "add_difference",
     "add_history",
     "add_ladder",
     "add_version",

@@ -12,6 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from tcbi_infer.compare.versions import Interval
+
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#8c949e"  # Okabe and Ito
 INK = "#010203"  # replaced by the page's text colour
 WIDTH, WIDE = 4.4, 5.4  # inch; one column on a phone
@@ -140,6 +142,20 @@ def interval(
         axes.spines["left"].set_visible(False)
         axes.set_xlabel(f"{name} / {unit}" if unit not in ("", "1") else name)
         axes.set_ylim(-1, 1)
+        return to_svg(figure)
+
+
+def versions(name: str, unit: str, before: Interval, after: Interval, labels: tuple[str, str]) -> str:
+    """A parameter's mean and 90 % interval in two versions, one above the other."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(1.35)
+        for row, (interval, color) in enumerate(((before, GREY), (after, BLUE))):
+            axes.hlines(row, interval.low90, interval.high90, color=color, lw=5)
+            axes.plot([interval.mean], [row], "o", color=color, ms=8)
+        axes.set_yticks([0, 1], labels)
+        axes.set_ylim(1.6, -0.6)
+        axes.tick_params(axis="y", length=0)
+        axes.set_xlabel(f"{name} / {unit}" if unit not in ("", "1") else name)
         return to_svg(figure)
 
 

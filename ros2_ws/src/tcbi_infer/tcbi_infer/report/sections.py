@@ -1,12 +1,14 @@
 """The sections that comparison, diagnosis and history contribute to a report."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from tcbi_infer.compare.comparison import Comparison
 from tcbi_infer.compare.locate import worst_moments
 from tcbi_infer.compare.signals import JOINT
+from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis, Evidence
 from tcbi_infer.report import plots
 from tcbi_infer.report.page import Figure, Report, Section, Table
@@ -200,15 +202,42 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
     report.add(Section("Its parameters", figures=figures, table=Table(head, rows)))
 
 
+def add_difference(report: Report, d: Difference) -> None:
+    """Two versions: effects, what each rests on, every parameter before and after."""
+    report.add(Section(f"{d.after} beside {d.before}", verdict=d.statement))
+    grounds = (d.grounds_before, d.grounds_after)
+    rows: list[list[Any]] = [
+        ["effects that the other lacks", ", ".join(d.effects_removed) or "none", ", ".join(d.effects_added) or "none"],
+        ["made by", *(g.kind for g in grounds)],
+        ["what it says", *(g.statement or "–" for g in grounds)],
+        ["rollouts that it was fitted to", *(len(g.rollouts) for g in grounds)],
+        ["error over noise floor, unseen rollouts", *(g.error_over_floor for g in grounds)],
+    ]
+    text = []
+    if d.rollouts_shared:
+        text.append(f"{d.rollouts_shared} rollouts went into both.")
+    if None not in (d.grounds_before.error_over_floor, d.grounds_after.error_over_floor):
+        text.append("The two errors are of the rollouts that each version's own diagnosis held out.")
+    report.add(Section("What they rest on", text=text, table=Table(["", d.before, d.after], rows)))
+    labels = (d.before, d.after)
+    figures = [
+        Figure(plots.versions(p.name, p.unit, p.before, p.after, labels), p.name)
+        for p in d.parameters
+        if p.before and p.after
+    ]
+    head = ["parameter", "unit", f"{d.before}: mean (5 % to 95 %)", d.after, "overlap", "width after / before"]
+    table = [[p.name, p.unit, _span(p.before), _span(p.after), p.overlap, p.width_ratio] for p in d.parameters]
+    text = ["Lines are 90 % intervals. The overlap is the share of the shorter one that lies in the other."]
+    report.add(Section("Parameters", text=text, figures=figures, table=Table(head, table)))
+
+
+def _span(interval: Interval | None) -> str:
+    return "–" if interval is None else f"{interval.mean:.3g} ({interval.low90:.3g} to {interval.high90:.3g})"
+
+
 def _quantiles(model: Model) -> list[str]:
     """Mean and 90 % interval of each parameter under the model's particles."""
-    texts = []
-    for values, mean in zip(model.particles.T, model.mean(), strict=True):
-        order = np.argsort(values)
-        reached = np.cumsum(model.weights[order])
-        low, high = (values[order][min(np.searchsorted(reached, q), len(values) - 1)] for q in (0.05, 0.95))
-        texts.append(f"{mean:.3g} ({low:.3g} to {high:.3g})")
-    return texts
+    return [_span(interval) for interval in intervals(model).values()]
 
 
 def add_history(report: Report, rows: Sequence[tuple[str, str, str, float]]) -> None:

@@ -35,9 +35,3 @@ class Prior:
     def unit(self, cube: np.ndarray) -> np.ndarray:
         """(N, P) in the cube -> (N, P) in the parameters' unit cube."""
         return from_probit(self.mean + to_probit(cube) @ self.root.T)
-
-
-def used_before(model: Model) -> set[str]:
-    """The rollouts that made a model version's distribution."""
-    inference = model.evidence.get("inference") or {}
-    return {*model.evidence.get("rollouts", ()), *inference.get("rollouts", ())}

@@ -18,9 +18,10 @@ import numpy as np
 from tcbi_contract.errors import describe
 from tcbi_infer.divergence import BINS, Binning, divergence
 from tcbi_infer.errors import InferError
+from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, divergences, samples
-from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, used_before
+from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior
 from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, sample_rate, sensor_noise
 from tcbi_policy.artefact import GAIT_PREFIX, find_policy
 from tcbi_policy.errors import PolicyError

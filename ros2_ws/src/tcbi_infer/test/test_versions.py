@@ -1,0 +1,92 @@
+"""Two versions of a model side by side, and a version that an effect was removed from."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tcbi_infer.compare.history import history
+from tcbi_infer.compare.versions import compare_versions, linked_parameters, marginal_evidence
+from tcbi_infer.errors import InferError
+from tcbi_infer.report import Report, add_difference
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Scenario
+from tcbi_sim.model import Model, base_model
+
+KEY = "rotor_inertia"
+
+
+def model(gain: tuple[float, float], link: float = 0.0, version: str = "servo_bench-v1") -> Model:
+    """A bench with one effect: gain uniform between two values, the effect's size following it by `link` (0 to 1)."""
+    base = base_model("servo_bench").with_effect(KEY)
+    rng = np.random.default_rng(0)
+    share = rng.random((200, len(base.names)))
+    share[:, -1] = link * share[:, 0] + (1 - link) * share[:, -1]
+    values = base.from_unit(0.4 + 0.2 * share)
+    values[:, 0] = gain[0] + (gain[1] - gain[0]) * share[:, 0]
+    made = base.with_particles(values, rollouts=["a", "b"], statement="why", error_over_floor=1.4, kind="diagnosis")
+    return dataclasses.replace(made, version=version)
+
+
+def test_added_and_removed_effects_are_named():
+    base, with_effect = base_model("servo_bench"), model((4e-3, 5e-3))
+    there, back = compare_versions(base, with_effect), compare_versions(with_effect, base)
+    assert (there.effects_added, there.effects_removed) == ((KEY,), ())
+    assert (back.effects_added, back.effects_removed) == ((), (KEY,))
+    own = next(p for p in there.parameters if p.name == f"{KEY}.inertia")
+    assert own.before is None and own.after is not None and own.overlap is None
+
+
+@pytest.mark.parametrize(
+    ("other", "overlap", "ratio"),
+    [((2e-3, 4e-3), 1.0, 1.0), ((2e-3, 2.4e-3), 1.0, 0.27), ((8e-3, 9e-3), 0.0, None)],
+)
+def test_intervals_that_lie_in_each_other_overlap_wholly_and_those_apart_not_at_all(other, overlap, ratio):
+    change = compare_versions(model((2e-3, 4e-3)), model(other, version="servo_bench-v2")).parameters[0]
+    assert change.name == "gain" and change.overlap == pytest.approx(overlap, abs=0.2)
+    if ratio:
+        assert change.width_ratio == pytest.approx(ratio, abs=0.06)
+
+
+def test_the_statement_names_what_is_apart():
+    d = compare_versions(model((2e-3, 3e-3)), model((8e-3, 9e-3), version="servo_bench-v2"))
+    assert "gain do not overlap" in d.statement and "same effects" in d.statement
+
+
+def test_what_both_rest_on_stands_side_by_side():
+    d = compare_versions(base_model("servo_bench"), model((2e-3, 3e-3)))
+    assert (d.grounds_before.kind, d.grounds_before.error_over_floor) == ("built in", None)
+    assert d.grounds_after.rollouts == ("a", "b") and d.grounds_after.error_over_floor == 1.4
+    assert compare_versions(model((2e-3, 3e-3)), model((2e-3, 3e-3))).rollouts_shared == 2
+
+
+def test_versions_of_different_rigs_are_refused():
+    with pytest.raises(InferError, match="one rig"):
+        compare_versions(base_model("hexapod"), base_model("servo_bench"))
+
+
+def test_parameters_that_were_fitted_together_with_a_removed_effect_are_named():
+    tied, free = model((2e-3, 4e-3), link=0.9), model((2e-3, 4e-3), link=0.0)
+    assert set(linked_parameters(tied, KEY)) == {"gain"} and linked_parameters(tied, KEY)["gain"] > 0.9
+    assert linked_parameters(free, KEY) == {}
+    told = marginal_evidence(tied, KEY)
+    assert "gain: correlation +" in told["statement"] and "marginalised" in told["statement"]
+    assert told["rollouts"] == ["a", "b"], "what was fitted to stays seen"
+    assert "None of them went with it" in marginal_evidence(free, KEY)["statement"]
+
+
+def test_the_report_of_a_difference_shows_both_versions():
+    report = Report("two versions")
+    add_difference(report, compare_versions(model((2e-3, 4e-3)), model((8e-3, 9e-3), version="servo_bench-v2")))
+    for words in ("servo_bench-v1", "servo_bench-v2", "do not overlap", "error over noise floor", "<svg"):
+        assert words in report.html()
+
+
+def test_rollouts_of_an_inference_count_as_seen_in_the_history():
+    base = base_model("servo_bench")
+    inferred = base.with_particles(base.particles, inference={"rollouts": ["seen"]})
+    values = np.array([[p.nominal for p in base.parameters]])
+    commands = Commands(np.arange(10) * 0.1, np.linspace(0, 1, 10)[:, None])
+    out = simulate(base, values, [Scenario("log", 1.0, settle=0.0)], commands=[commands])
+    rollouts = [dataclasses.replace(out.measurement(0), rollout_id=name, commands=commands) for name in ("seen", "new")]
+    assert {line.rollouts for line in history([base, inferred], rollouts)} == {("new",)}
