@@ -1,6 +1,7 @@
 """The `tcbi` command: a table of commands, each in a module of its own that is imported only when it is called."""
 
 import argparse
+import contextlib
 import difflib
 import errno
 import importlib
@@ -9,7 +10,9 @@ import keyword
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 
 from tcbi_contract.errors import TcbiError
@@ -70,12 +73,15 @@ COMMANDS = (
     Command("replay", "record", "play bags into the running graph, at any speed"),
     Command("compare", "compare", "error of a model on bags, per signal and joint, beside the noise floor"),
     Command("diagnose", "explain", "which physical effect is missing: a ranking and a verdict"),
+    Command("effects", "explain", "the library of physical effects; check one of your own"),
     Command("add", "explain", "make a new model version with an effect in it"),
+    Command("remove", "explain", "make a new model version without one of its effects"),
     Command("infer", "infer", "posterior of the parameters from bags"),
     Command("train", "infer", "train a policy for a task on a model"),
     Command("retrain", "infer", "train the running policy's successor on the posterior"),
     Command("policy", "infer", "list, show and measure policies"),
     Command("history", "watch", "the error of each model version"),
+    Command("diff", "watch", "what differs between two model versions"),
     Command("export-model", "watch", "write a model version as MJCF"),
     Command("view", "watch", "show a model version, or render a picture and a video"),
     Command("run", "graph", "start one executable of one package, with --ros-args as usual"),
@@ -148,12 +154,28 @@ def dispatch(words: list[str]) -> int:
         args = parser_for(command, module).parse_args(rest)
     except SystemExit as e:  # argparse has printed what is wrong, or the help
         return int(e.code or OK)
-    if not getattr(args, "json", False):
-        return int(module.run(args))
-    from tcbi_bringup.commands import console
+    with store_of(args):
+        if not getattr(args, "json", False):
+            return int(module.run(args))
+        from tcbi_bringup.commands import console
 
-    with console.json_only():
-        return int(module.run(args))
+        with console.json_only():
+            return int(module.run(args))
+
+
+@contextlib.contextmanager
+def store_of(args: argparse.Namespace) -> Iterator[None]:
+    """`--store` as the store of everything that the command does: one's own effects are looked up there too."""
+    before, given = os.environ.get("TCBI_STORE"), getattr(args, "store", None)
+    if given is not None:
+        os.environ["TCBI_STORE"] = str(Path(given).expanduser().absolute())
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("TCBI_STORE", None)
+        else:
+            os.environ["TCBI_STORE"] = before
 
 
 def parser_for(command: Command, module: ModuleType) -> argparse.ArgumentParser:
