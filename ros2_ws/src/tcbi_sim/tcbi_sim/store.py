@@ -10,6 +10,7 @@ The root is `--store`, else the environment variable TCBI_STORE, else ~/.local/s
 
 import dataclasses
 import json
+import logging
 import os
 import shutil
 import tempfile
@@ -25,6 +26,7 @@ from tcbi_sim.parameter import Parameter
 from tcbi_sim.places import default_root
 from tcbi_sim.rigs import RIGS
 
+log = logging.getLogger(__name__)
 FORMAT = 1
 LATEST = "latest"
 DRAWS = 1000
@@ -95,8 +97,14 @@ class ModelStore:
             shutil.rmtree(work, ignore_errors=True)
 
     def history(self, rig: str | None = None) -> list[Model]:
-        """All versions, oldest first."""
-        return [self.load(v) for v in self.versions(rig)]
+        """All versions, oldest first; one that cannot be read is left out with a line in the log."""
+        models = []
+        for version in self.versions(rig):
+            try:
+                models.append(self.load(version))
+            except SimError as e:
+                log.warning("tcbi: %s is left out: %s", version, " ".join(str(e).split()))
+        return models
 
     def remove(self, version: str) -> None:
         """Delete a saved version that no other has as its parent.
@@ -128,6 +136,13 @@ class ModelStore:
         (folder / "model.xml").write_text(to_xml(model))
         write_posterior(folder / "posterior.nc", model)
 
+    @staticmethod
+    def _check_effects(model: Model) -> None:
+        try:
+            model.uses()
+        except SimError as e:
+            raise StoreError(f"model {model.version} needs an effect that is not here: {e}") from e
+
     def _read(self, folder: Path) -> Model:
         try:
             head = json.loads((folder / "model.json").read_text())
@@ -145,7 +160,7 @@ class ModelStore:
                 head["evidence"],
                 head["created"],
             )
-            model.uses()  # every effect must be known here
+            self._check_effects(model)
             return model
         except (OSError, KeyError, TypeError, ValueError) as e:
             raise StoreError(f"cannot read the model in {folder}: {e}; remove the folder or restore its files") from e

@@ -111,6 +111,15 @@ def test_a_model_file_with_unknown_content_is_refused_by_name(store, change, wor
         store.load(saved.version)
 
 
+def test_the_history_leaves_out_a_version_that_cannot_be_read_and_says_so(store, caplog):
+    broken, whole = (store.save(base_model("hexapod").with_effect(key)) for key in ("backlash", "payload"))
+    path = store.models / broken.version / "model.json"
+    path.write_text(path.read_text().replace('"backlash"', '"my_own_effect"'))
+    assert [m.version for m in store.history("hexapod")] == ["hexapod-v0", whole.version]
+    (line,) = [r.getMessage() for r in caplog.records]
+    assert broken.version in line and "my_own_effect" in line and "\n" not in line
+
+
 def test_a_value_out_of_range_is_refused_with_its_bounds(store):
     saved = store.save(base_model("hexapod"))
     path = store.models / saved.version / "model.json"
