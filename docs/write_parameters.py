@@ -1,4 +1,7 @@
-"""Writes docs/parameters.md from the nodes' own parameter classes: `./tcbi python docs/write_parameters.py`."""
+"""Writes docs/parameters.md, and the README's table of nodes, from the nodes' own parameter classes.
+
+./tcbi python docs/write_parameters.py
+"""
 
 from pathlib import Path
 
@@ -45,5 +48,26 @@ def text() -> str:
     return "\n".join(parts)
 
 
+BEGIN, END = "<!-- nodes -->\n", "<!-- end of nodes -->\n"
+
+
+def overview() -> str:
+    """The README's table: each node with its parameters' names."""
+    rows = [
+        f"| `{node}` | {', '.join(f'`{name}`' for name, *_ in parameter_table(parameters))} |"
+        for node, (parameters, _) in NODES.items()
+    ]
+    return "\n".join(["| node | parameters |", "| --- | --- |", *rows, ""])
+
+
+def with_overview(readme: str) -> str:
+    """The README with its table as it should be."""
+    before, rest = readme.split(BEGIN)
+    return f"{before}{BEGIN}{overview()}{END}{rest.split(END)[1]}"
+
+
 if __name__ == "__main__":
-    Path(__file__).with_name("parameters.md").write_text(text())
+    here = Path(__file__)
+    here.with_name("parameters.md").write_text(text())
+    readme = here.parents[1] / "README.md"
+    readme.write_text(with_overview(readme.read_text()))

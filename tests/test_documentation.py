@@ -12,12 +12,22 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").g
 
 @pytest.mark.parametrize("page", ["parameters", "effects"])
 def test_the_pages_of_parameters_and_effects_are_written_from_the_code(page):
+    written = (ROOT / "docs" / f"{page}.md").read_text()
+    assert written == writer(page).text(), f"run: ./tcbi python docs/write_{page}.py"
+
+
+def test_the_readme_names_every_parameter():
+    readme = (ROOT / "README.md").read_text()
+    assert readme == writer("parameters").with_overview(readme), "run: ./tcbi python docs/write_parameters.py"
+
+
+def writer(page):
+    """The script that writes a page."""
     spec = importlib.util.spec_from_file_location(f"write_{page}", ROOT / "docs" / f"write_{page}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    written = (ROOT / "docs" / f"{page}.md").read_text()
-    assert written == module.text(), f"run: ./tcbi python docs/write_{page}.py"
+    return module
 
 
 def test_the_effect_that_the_page_shows_is_fit_for_use(tmp_path):
