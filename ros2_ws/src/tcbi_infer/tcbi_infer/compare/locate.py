@@ -200,10 +200,10 @@ def describe_shape(error: np.ndarray, velocity: np.ndarray, plural: bool = False
 
 def _who(label: str, names: Sequence[str]) -> str:
     """The subject of a sentence; plural unless it is a single joint."""
-    if not label:
-        return "All joints together"
     if len(names) == 1:
         return f"The joint {names[0]}"
+    if not label:
+        return "All joints together"
     return f"The joints of the {label}" if label.endswith("leg") else f"The {label}"
 
 

@@ -52,6 +52,11 @@ def to_svg(figure: Canvas) -> str:
     return re.sub(r'(url\(#|href="#)', rf"\g<1>{unique}-", text)
 
 
+def _times(ratio: float) -> str:
+    """An error over the noise floor beside its bar: two digits, and never a power of ten."""
+    return f"{ratio:.2g}" if ratio < 99.5 else f"{ratio:,.0f}"
+
+
 def ladder(errors: Sequence[tuple[str, float]]) -> str:
     """Error over noise floor of the floor itself and of each model, one bar each, smallest possible at 1."""
     with matplotlib.rc_context(STYLE):
@@ -62,7 +67,7 @@ def ladder(errors: Sequence[tuple[str, float]]) -> str:
         axes.barh(np.arange(len(values)), values, color=colors, height=0.62)
         for y, value in enumerate(values):
             beyond = max(value, 1.0) if value < 1.2 else value  # clear of the line at 1
-            axes.annotate(f"{value:.2g}", (beyond, y), (4, 0), textcoords="offset points", va="center", ha="left")
+            axes.annotate(_times(value), (beyond, y), (4, 0), textcoords="offset points", va="center", ha="left")
         axes.axvline(1.0, color=GREY, lw=0.8, ls="--")
         axes.set_yticks(np.arange(len(values)), labels)
         axes.invert_yaxis()
@@ -168,7 +173,7 @@ def history(labels: Sequence[str], errors: Sequence[float]) -> str:
         axes.text(0, 1.0, "noise floor", color=ORANGE, va="bottom", fontsize=9)
         for x, error in enumerate(errors):
             if np.isfinite(error):
-                axes.annotate(f"{error:.2g}", (x, error), xytext=(0, 7), textcoords="offset points", ha="center")
+                axes.annotate(_times(error), (x, error), xytext=(0, 7), textcoords="offset points", ha="center")
         axes.set_xticks(np.arange(len(labels)), labels)
         axes.set_ylim(0, max(float(np.nanmax([*errors, 1.0])) * 1.2, 1.3))
         axes.set_ylabel("error / noise floor")
