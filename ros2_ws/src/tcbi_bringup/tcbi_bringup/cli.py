@@ -139,6 +139,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def dispatch(words: list[str]) -> int:
     """Find the command, parse its arguments, run it."""
+    if len(words) == 2 and words[0] == "help":
+        words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
         print(overview())
         return OK if words else USAGE
@@ -181,7 +183,7 @@ def store_of(args: argparse.Namespace) -> Iterator[None]:
 def parser_for(command: Command, module: ModuleType) -> argparse.ArgumentParser:
     """The parser of one command, with its summary as description."""
     parser = argparse.ArgumentParser(
-        prog=f"tcbi {command.name}", description=module.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog=f"./tcbi {command.name}", description=module.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     module.add_arguments(parser)
     return parser

@@ -8,6 +8,7 @@ from pathlib import Path
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_policy.artefact import find_policy
+from tcbi_sim.tasks import find_task
 
 SIM, EMULATED = "sim", "emulated"
 
@@ -41,11 +42,12 @@ class GraphOptions:
     recordings: Path | None = None
 
     def check(self) -> None:
-        """Refuse what does not go together, and a policy that no node could load.
+        """Refuse what does not go together, and a task or a policy that no node could load.
 
         Raises:
           LaunchError: in one line.
           PolicyError: the policy does not exist, is damaged, or is another robot's.
+          UnknownNameError: there is no such task.
         """
         if self.lockstep and self.robot != SIM:
             raise LaunchError(
@@ -56,6 +58,8 @@ class GraphOptions:
                 f"--robot: got {self.robot!r}, allowed is sim, emulated, or a serial port that exists; "
                 f"{_ports_present()}; switch the robot on and pair it, then call again"
             )
+        if self.task:
+            find_task(self.task)
         if self.policy:
             find_policy(self.policy, self.store)
 

@@ -49,6 +49,11 @@ def test_every_command_explains_itself_with_examples(command, capsys):
     assert "./tcbi" in capsys.readouterr().out
 
 
+def test_help_of_a_command_is_the_help_of_that_command(capsys):
+    assert cli.main(["help", "compare"]) == 0
+    assert "usage: ./tcbi compare" in capsys.readouterr().out
+
+
 def test_a_wrong_command_is_wrong_usage_and_gets_a_hint(capsys):
     assert cli.main(["rnu"]) == 2
     assert "did you mean 'run'?" in capsys.readouterr().err

@@ -13,6 +13,7 @@ from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_pr
 from tcbi_policy.artefact import find_policy, save_policy
 from tcbi_policy.errors import PolicyDamaged, PolicyMisfit, PolicyNotFound
 from tcbi_policy.layout import HEXAPOD
+from tcbi_sim.errors import UnknownNameError
 
 EVERYTHING = {"policy": "gait:tripod", "task": "forward", "namespace": "left"}
 
@@ -80,6 +81,12 @@ def test_a_policy_that_does_not_exist_is_refused_before_anything_starts(robot, t
     with pytest.raises(PolicyNotFound, match="'nonsense' does not exist; there are"):
         GraphOptions(store=tmp_path, robot=robot, policy="nonsense").check()
     GraphOptions(store=tmp_path, robot=robot, policy="gait:tripod").check()
+
+
+def test_a_task_that_does_not_exist_is_refused_before_anything_starts(tmp_path):
+    with pytest.raises(UnknownNameError, match="unknown task 'walk'; known: balance, forward"):
+        GraphOptions(store=tmp_path, task="walk").check()
+    GraphOptions(store=tmp_path, task="forward").check()
 
 
 def test_a_policy_of_another_robot_is_refused_by_the_name_of_what_differs(tmp_path):

@@ -5,6 +5,7 @@ import contextlib
 import math
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from tcbi_bringup.commands import console
 
 SUMMARY = "Record rollouts of a task, one bag each, from the running graph or from one that is started for it."
 READY_S = 40.0  # for the nodes to be there
+QUIET_S = 3.0  # of these before it is said what is waited for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -147,13 +149,27 @@ def _ask(
     from tcbi_infer.collect_client import CollectClient
 
     with CollectClient(domain, args.namespace) as client:
-        client.while_waiting = check_graph
+        client.while_waiting = _patient(domain, check_graph)
         if args.ask_distance:
             client.on_distance = _ask_distance
         if args.place:
             client.offer_place(_place)
         client.on_progress = lambda done, name, left: advance(done=done, note=f"{name}, {left:.0f} s left")
         return client.collect(request, READY_S)
+
+
+def _patient(domain: int, check_graph: Callable[[], None]) -> Callable[[], None]:
+    """What to call while the recorder is waited for: after some seconds it says once what is missing, and where."""
+    begin, said = time.monotonic(), False
+
+    def waiting() -> None:
+        nonlocal said
+        check_graph()
+        if not said and time.monotonic() - begin > QUIET_S:
+            said = True
+            console.note(f"waiting up to {READY_S:g} s for the recorder of a graph in ROS domain {domain}")
+
+    return waiting
 
 
 def _place(request: Any) -> None:
