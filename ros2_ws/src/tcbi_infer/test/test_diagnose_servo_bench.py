@@ -66,6 +66,14 @@ def test_nothing_is_missing_where_nothing_is_hidden():
     assert diagnosis.errors["base"] < 1.6  # 1.5 at the truth: steps of 2 ms against the recording's 1 ms
 
 
+def test_one_kind_of_motion_tells_nothing():
+    truth = base_model("servo_bench").with_effect("command_latency")
+    sines = record(truth, np.r_[BASE, 0.06])[:2]
+    diagnosis = diagnose(base_model("servo_bench"), sines, uses=CANDIDATES)
+    assert (diagnosis.verdict, diagnosis.effects) == ("cannot_tell", ())
+    assert "one kind of motion" in diagnosis.statement and "held out in turn" not in " ".join(diagnosis.claims)
+
+
 def test_twins_that_only_body_sensors_could_tell_apart_are_not_told_apart():
     truth = base_model("servo_bench").with_effect("command_latency")
     diagnosis = diagnose(

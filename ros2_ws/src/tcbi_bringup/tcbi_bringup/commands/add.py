@@ -86,8 +86,8 @@ def _fitted(args: argparse.Namespace, model: "Model", measurements: "list[Measur
     found = adopt.latest(runs, model.version, args.effect)
     if found is None:
         raise InferError(
-            f"no diagnosis of {model.version} has fitted {args.effect!r}; run ./tcbi diagnose first, "
-            "give bags, or keep the prior with --prior"
+            f"no diagnosis of {model.version} has fitted {args.effect!r}; run ./tcbi diagnose first, give bags, "
+            "name another version (--model) or rig (--rig), or keep the prior with --prior"
         )
     return adopt.adopt(model, args.effect, found)
 
@@ -99,8 +99,8 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
     errors = saved.evidence.get("errors", {})
     if effect in errors:
         print(
-            f"error over the noise floor on rollouts that no fit has seen: {errors['base']:.2g} with {model.version} "
-            f"fitted again, {errors[effect]:.2g} with {saved.version}"
+            f"error over the noise floor on rollouts that no fit has seen: {errors['base']:.1f} with {model.version} "
+            f"fitted again, {errors[effect]:.1f} with {saved.version}"
         )
         if not saved.evidence["accepted"]:
             print("note: the diagnosis did not accept this effect; the version is a guess")

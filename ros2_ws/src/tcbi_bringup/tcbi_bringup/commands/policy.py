@@ -43,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         console.emit(facts)
     else:
-        rows = [[key, value] for key, value in {**facts, **facts.pop("measured", {})}.items()]
+        measured = facts.pop("measured", {})
+        rows = [[key, value] for key, value in {**facts, **measured}.items()]
         console.table(policy.policy_id, ["what", "value"], rows)
     return 0
 

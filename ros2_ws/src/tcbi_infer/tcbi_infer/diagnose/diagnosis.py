@@ -281,8 +281,13 @@ class _Run:
         )
 
     def _claims(self, kinds: int, sealed: Sequence[Measurement], null: Null) -> list[str]:
-        claims = [f"{kinds} kinds of motion were held out in turn; {len(sealed)} rollouts stayed sealed until the end."]
-        if not sealed:
+        if kinds < 2:
+            claims = ["Nothing was held out: the errors shown are those on the motion of the fit itself."]
+        else:
+            claims = [
+                f"{kinds} kinds of motion were held out in turn; {len(sealed)} rollouts stayed sealed until the end."
+            ]
+        if not sealed and kinds >= 2:
             claims.append("Too few kinds of motion to seal any: the errors shown are cross-validated.")
         if kinds < MIN_KINDS:
             claims.append(f"With fewer than {MIN_KINDS} kinds of motion no false-alarm rate is claimed.")

@@ -81,6 +81,14 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
       kinds: of motion.
     """
     accepted = [e for e in ranking if e.accepted]
+    if kinds < 2:
+        return Ruling(
+            CANNOT_TELL,
+            (),
+            "These rollouts show one kind of motion, so that no fit can be tried on another and nothing is told: fitted "
+            f"to it, the model still errs by {base_error:.1f} times the noise floor. Record {MIN_KINDS} kinds of motion "
+            "or more, each twice.",
+        )
     if not accepted:
         return _none_accepted(ranking, base_error, kinds)
     best = accepted[0]

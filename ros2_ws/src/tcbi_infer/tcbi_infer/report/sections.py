@@ -18,10 +18,15 @@ WORST_S = 1.5  # s, length of a moment shown
 HEADLINES = {
     EFFECT: "An effect is missing",
     CANNOT_TELL: "An effect is missing, but which one cannot be told",
-    NOTHING_MISSING: "Nothing is missing",
+    NOTHING_MISSING: "Nothing missing was found",
     OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
 }
 LABELS = {"unfitted": "model as it was", "base": "model, parameters fitted"}
+
+
+def _nothing_held_out(d: Diagnosis) -> bool:
+    """Whether the rollouts had one kind of motion only: the one verdict of `cannot_tell` that names nothing."""
+    return d.verdict == CANNOT_TELL and not d.effects
 
 
 def add_ladder(report: Report, errors: Sequence[tuple[str, float]], text: str = "") -> None:
@@ -89,7 +94,8 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     """The verdict, the ladder, the ranking, the fitted sizes, what the verdict rests on."""
     d = diagnosis
     tone = {EFFECT: "warn", NOTHING_MISSING: "good"}.get(d.verdict, "neutral")
-    report.add(Section(HEADLINES[d.verdict], verdict=d.statement, tone=tone, notes=d.claims))
+    headline = "These rollouts cannot tell" if _nothing_held_out(d) else HEADLINES[d.verdict]
+    report.add(Section(headline, verdict=d.statement, tone=tone, notes=d.claims))
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
     add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in d.errors.items()])
@@ -149,8 +155,9 @@ def _moments(d: Diagnosis) -> Section:
         "The worst moments",
         text=[
             "Where the model without any new effect fails worst, and what the best candidate "
-            f"({d.ranking[0].use}) makes of it. Both were fitted to other kinds of motion than the one shown. The "
-            "band is the noise floor.",
+            f"({d.ranking[0].use}) makes of it. Both were fitted to "
+            f"{'the motion shown' if _nothing_held_out(d) else 'other kinds of motion than the one shown'}. The band "
+            "is the noise floor.",
         ],
         figures=figures,
     )
