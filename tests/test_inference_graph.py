@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rclpy.action import ActionServer, GoalResponse
+from rclpy.action import ActionClient, ActionServer, GoalResponse
 
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract import messages, names
 from tcbi_infer.bags.measurement_writer import write_measurement
-from tcbi_msgs.action import Retrain
+from tcbi_msgs.action import Diagnose, Retrain
 from tcbi_msgs.msg import ModelError, Posterior
 from tcbi_msgs.srv import AddEffect, LoadModel
 from tcbi_sim.engine import simulate
@@ -105,6 +105,24 @@ def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node,
     assert loaded.success and loaded.model == f"{RIG}-v0"
     missing = peer.call("inference/load_model", LoadModel.Request(model=f"{RIG}-v9"), LoadModel)
     assert not missing.success and "unknown model version" in missing.message
+
+
+def test_a_diagnosis_is_an_action_with_feedback(start_graph, peer, node, tmp_path):
+    ids = write_rollouts(tmp_path / "bags", 0, 3)
+    quiet = NodeProcess("tcbi_infer", "inference_node", parameters={**node.parameters, "least_rollouts": 100})
+    start_graph(quiet)
+    client, heard = ActionClient(peer.node, Diagnose, names.DIAGNOSE), []
+    peer.wait_until(client.server_is_ready, "the action diagnose")
+    goal = Diagnose.Goal(bags=[str(tmp_path / "bags" / name) for name in ids], model=f"{RIG}-v0")
+    handle = peer.result(client.send_goal_async(goal, feedback_callback=heard.append), "the goal")
+    assert handle.accepted
+    result = peer.result(handle.get_result_async(), "the diagnosis", 2 * WORK_S).result
+    assert result.success, result.message
+    assert result.diagnosis.model == f"{RIG}-v0" and result.diagnosis.statement == result.message
+    fractions = [message.feedback.fraction for message in heard]
+    assert len(fractions) > 3 and fractions == sorted(fractions)
+    assert any(message.feedback.remaining_s > 0 for message in heard)
+    client.destroy()
 
 
 def test_a_model_that_does_not_exist_ends_the_node_with_one_line(start_graph, node):

@@ -10,6 +10,7 @@ import dataclasses
 import json
 import signal
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -146,8 +147,11 @@ def run_diagnosis(job: Job, emit: Emit) -> None:
     measurements = read_measurements(job.bags)
     model = store.load(job.model, measurements[0].rig)
 
+    began = time.monotonic()
+
     def watch(stage: str, share: float) -> None:
-        emit("progress", stage=stage, share=share, remaining_s=None)
+        remaining_s = (time.monotonic() - began) * (1 - share) / share if share > 0 else None
+        emit("progress", stage=stage, share=share, remaining_s=remaining_s)
 
     emit("diagnosis", **diagnose(model, measurements, progress=watch).to_json())
 
