@@ -204,7 +204,9 @@ class _Run:
     def _choose(self, directions: Directions, gains: np.ndarray) -> list[int]:
         """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
         mean = gains.mean(axis=0)
-        order = [u for u in np.argsort(-mean) if mean[u] >= self.settings.least_share * mean.max()]
+        share = self.settings.least_share
+        least = share * mean.max() if np.isfinite(share) else -np.inf  # one kind of motion gains nothing: 0 times inf
+        order = [u for u in np.argsort(-mean) if mean[u] >= least]
         chosen: list[int] = []
         per_effect: dict[str, int] = {}
         for u in order:

@@ -85,9 +85,9 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
         return Ruling(
             CANNOT_TELL,
             (),
-            "These rollouts show one kind of motion, so that no fit can be tried on another and nothing is told: fitted "
-            f"to it, the model still errs by {base_error:.1f} times the noise floor. Record {MIN_KINDS} kinds of motion "
-            "or more, each twice.",
+            "These rollouts show one kind of motion, so that no fit can be tried on another and nothing is told: "
+            f"fitted to it, the model still errs by {base_error:.1f} times the noise floor. Record {MIN_KINDS} kinds "
+            "of motion or more, each twice.",
         )
     if not accepted:
         return _none_accepted(ranking, base_error, kinds)
