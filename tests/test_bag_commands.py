@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.node import Node
 
 from tcbi_bringup import cli
 from tcbi_infer.bags.measurement_writer import write_measurement
@@ -71,6 +72,17 @@ def test_what_is_no_bag_is_one_line_and_status_1(tmp_path, capsys, command, what
     assert cli.main([command, str(tmp_path / what)]) == 1
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1 and what in captured.err
+
+
+def test_replay_does_not_move_a_robot_that_listens(tmp_path, capsys, peer):
+    robot = Node("driver_node", context=peer.node.context)
+    bag = tmp_path / "bags" / "run_1"
+    assert cli.main(["import", "xl330_bench", str(log(tmp_path)), "--out", str(tmp_path / "bags")]) == 0
+    capsys.readouterr()
+    assert cli.main(["replay", str(bag)]) == 1
+    robot.destroy_node()
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "/driver_node runs in ROS domain" in told and "--drive" in told
 
 
 def test_collect_names_every_fault_before_it_starts_anything(capsys):

@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tcbi_bringup.errors import LaunchError, SecondGraphError
+from tcbi_bringup.errors import LaunchError, RobotListensError, SecondGraphError
 from tcbi_bringup.graph_monitor import GraphMonitor
 
 OWN_NODES = ("sim_node", "driver_node", "policy_node", "recorder_node", "inference_node", "retrain_node")
+ROBOT_NODES = ("sim_node", "driver_node")  # they follow joint_commands
 DISCOVERY_S = 4.0  # what a busy machine was seen to need, and a margin
 DOMAINS = range(0, 233)
 REMEDY = "stop that one, or choose another domain (ROS_DOMAIN_ID=1 ./tcbi up …) or another --namespace"
@@ -75,6 +76,27 @@ def refuse_second_graph(
                 f"a graph already runs in ROS domain {domain_id}{_in(namespace)}: found {', '.join(found)}; {REMEDY}"
             )
         time.sleep(0.05)
+
+
+def refuse_to_drive(namespace: str = "", patience_s: float = DISCOVERY_S) -> None:
+    """Look for a robot or a simulation that recorded commands would move, for as long as discovery takes.
+
+    Raises:
+      RobotListensError: there is one.
+    """
+    domain_id = present_domain()
+    prefix = f"/{namespace}/" if namespace else "/"
+    deadline = time.monotonic() + patience_s
+    with GraphMonitor(domain_id, namespace) as monitor:
+        while time.monotonic() < deadline:
+            found = sorted({prefix + name for name in ROBOT_NODES} & monitor.node_names())
+            if found:
+                raise RobotListensError(
+                    f"{found[0]} runs in ROS domain {domain_id}{_in(namespace)}, and the bag's joint_commands would "
+                    "move it; leave them out (--topics joint_states imu/data), choose another domain (ROS_DOMAIN_ID), "
+                    "or mean it (--drive)"
+                )
+            time.sleep(0.05)
 
 
 def _in(namespace: str) -> str:

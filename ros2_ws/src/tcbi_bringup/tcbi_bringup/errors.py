@@ -19,5 +19,9 @@ class SecondGraphError(LaunchError):
     """Another graph already runs in this ROS domain."""
 
 
+class RobotListensError(BringupError):
+    """Recorded commands would move a robot that listens."""
+
+
 class DemoError(BringupError):
     """A step of the demo failed."""

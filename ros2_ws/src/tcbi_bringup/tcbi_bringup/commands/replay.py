@@ -20,6 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wait-for", type=int, default=0, metavar="N", help="begin once N nodes listen to joint_states"
     )
+    parser.add_argument(
+        "--drive", action="store_true", help="play joint_commands although a robot or a simulation listens: it moves"
+    )
     parser.add_argument("--no-clock", action="store_true", help="do not publish /clock")
     console.add_examples(
         parser,
@@ -32,10 +35,14 @@ def run(args: argparse.Namespace) -> int:
     """Check the bag here, where the error is one line, then play."""
     import json
 
+    from tcbi_bringup.domain_lock import refuse_to_drive
+    from tcbi_contract import names
     from tcbi_infer.player import schedule
     from tcbi_infer.replay_node import main
 
     plan = schedule(args.bag, tuple(args.topics))
+    if names.JOINT_COMMANDS in plan.topics and not args.drive:
+        refuse_to_drive(args.namespace.strip("/"))
     console.note(
         f"playing {len(plan.cues)} messages over {(plan.end - plan.start) * 1e-9:.1f} s at {args.rate:g} times"
     )
