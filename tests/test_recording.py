@@ -63,6 +63,9 @@ class Collection:
         self.handle = peer.result(sent, "the answer to the goal")
         self._ended = self.handle.get_result_async() if self.handle.accepted else None
 
+    def ended(self) -> bool:
+        return self._ended.done()
+
     def result(self):
         answer = self.peer.result(self._ended, "the end of the collection", 90.0)
         return answer.status, answer.result
@@ -163,7 +166,8 @@ def test_a_policy_that_stops_in_a_rollout_ends_it_as_aborted(start_graph, peer, 
     start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
     told = peer.collect(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS)
     collection = Collection(peer, task="balance", number=2, seed=1)
-    peer.wait_until(lambda: len(told) > 3, "commands")
+    # on a busy machine the policy may stop by itself, for want of fresh joint angles
+    peer.wait_until(lambda: len(told) > 3 or collection.ended(), "commands")
     peer.call(names.ENABLE_POLICY, SetBool.Request(data=False), SetBool)
     status, result = collection.result()
     assert status == GoalStatus.STATUS_ABORTED and "has sent no joint_commands" in result.message
