@@ -27,12 +27,16 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.compare.history import history
     from tcbi_infer.report import Report, add_history
+    from tcbi_sim.errors import UnknownNameError
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
     measurements = read_measurements(args.bags) if args.bags else []
     rig = args.rig or (measurements[0].rig if measurements else "hexapod")
-    lines = history(store.history(rig), measurements)
+    versions = store.history(rig)
+    if not versions:
+        raise UnknownNameError("rig", rig, tuple(sorted({v.rpartition("-v")[0] for v in store.versions()})))
+    lines = history(versions, measurements)
     if measurements and not lines[0].rollouts:
         console.note("all of these rollouts were used in a fit; the figures are those kept with the versions")
     elif left_out := len(measurements) - len(lines[0].rollouts if measurements else ()):

@@ -290,7 +290,8 @@ class _Run:
                 f"{kinds} kinds of motion were held out in turn; {len(sealed)} rollouts stayed sealed until the end."
             ]
         if not sealed and kinds >= 2:
-            claims.append("Too few kinds of motion to seal any: the errors shown are cross-validated.")
+            why = "Too few kinds of motion to seal any" if self.settings.sealed_share else "A quick look seals none"
+            claims.append(f"{why}: the errors shown are cross-validated.")
         if kinds < MIN_KINDS:
             claims.append(f"With fewer than {MIN_KINDS} kinds of motion no false-alarm rate is claimed.")
         elif np.isfinite(null.threshold):
