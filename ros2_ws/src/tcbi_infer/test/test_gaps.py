@@ -1,14 +1,17 @@
 """Gaps: what is missing is found, and the model is not blamed for what it was not told."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tcbi_contract.names import JOINT_COMMANDS
+from tcbi_infer.bags.commands import late_commands
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.errors import NothingToCompareError
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.gaps import Gap, command_gaps, sample_gaps, unusable
+from tcbi_infer.gaps import LATE_COMMAND, Gap, command_gaps, sample_gaps, unusable
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import base_model
@@ -103,3 +106,22 @@ def test_a_bag_without_commands_is_named_as_such(rollout):
     mute = dataclasses.replace(rollout, rollout_id="mute", commands=Commands(np.empty(0), np.empty((0, 18))))
     with pytest.raises(NothingToCompareError, match=r"mute has no joint_commands; give at least one bag"):
         Replay.of(base_model("hexapod"), [mute])
+
+
+def test_a_command_that_came_late_spoils_the_rest_of_a_rollout_on_feet(rollout):
+    late = dataclasses.replace(rollout, gaps=((LATE_COMMAND, 2.0, 2.33),))
+    found = unusable(late, GRID)
+    assert np.array_equal(found.samples, GRID > 2.0) and not found.signals
+    assert "due at 2.00 s came 0.33 s late" in found.sentences[0]
+
+
+def test_commands_are_late_against_their_usual_delay_and_never_where_clocks_differ():
+    def recorded(delays_ms, offset_ms=0):
+        stamps = np.arange(len(delays_ms)) * 200_000_000
+        came = stamps + (np.array(delays_ms) + offset_ms) * 1_000_000
+        records = [SimpleNamespace(stamp=int(s), log_time=int(c)) for s, c in zip(stamps, came, strict=True)]
+        return SimpleNamespace(records={JOINT_COMMANDS: records})
+
+    assert late_commands(recorded([12, 12, 13, 340, 12]), 0, None) == [(pytest.approx(0.6), pytest.approx(0.94))]
+    assert late_commands(recorded([12, 12, 13, 90, 12]), 0, None) == []
+    assert late_commands(recorded([12, 12, 13, 340, 12], offset_ms=5000), 0, None) == []

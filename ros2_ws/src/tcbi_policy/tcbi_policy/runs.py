@@ -29,6 +29,7 @@ from tcbi_policy.artefact import replace_file
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import TrainingError
 
+NICENESS = 10  # a robot moves in real time beside it
 GRACE_S = 0.5  # between asking a process to end and ending it
 SPEC = "run.json"
 ERRORS = "errors.log"
@@ -86,7 +87,7 @@ def write_run(folder: Path, run: Run) -> Path:
 
 
 class TrainingProcess:
-    """`python -m tcbi_policy.training`, in a process group of its own.
+    """`python -m tcbi_policy.training`, in a process group of its own and at low priority.
 
     Without a folder it loads its libraries, which takes seconds, and stands by until `begin`.
     """
@@ -97,6 +98,7 @@ class TrainingProcess:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
             env=dict(os.environ, PYTHONUNBUFFERED="1"), start_new_session=True,
         )  # fmt: skip
+        os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
         self._folder = Path()
         self._events: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._reader = threading.Thread(target=self._read, daemon=True)

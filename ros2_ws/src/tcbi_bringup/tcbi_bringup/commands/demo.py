@@ -61,11 +61,11 @@ def run(args: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     console.note(f"everything goes to {folder}")
     with running(robot, folder, folder / "store") as (lab, graph):
+        os.nice(NICENESS)  # the robot moves in real time, whatever is loaded and computed beside it
         from tcbi_bringup.demo.plan import FULL, QUICK  # seconds of imports, while the nodes start
         from tcbi_bringup.demo.story import Story
 
         lab.wait(graph.check)
-        os.nice(NICENESS)  # the robot moves in real time, whatever is computed beside it
         outcome = Story(robot, QUICK if args.quick else FULL, folder, lab).tell()
     from tcbi_bringup.demo import page
     from tcbi_bringup.emulated_robot.physics import Specimen

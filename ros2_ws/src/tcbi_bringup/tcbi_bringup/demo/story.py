@@ -16,6 +16,7 @@ from tcbi_bringup.demo.lab_node import LabNode
 from tcbi_bringup.demo.narration import Narration
 from tcbi_bringup.demo.plan import Plan, slope_of
 from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
+from tcbi_bringup.errors import DemoError
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
 from tcbi_infer.diagnose.adopt import adopt
@@ -31,6 +32,7 @@ from tcbi_sim.store import ModelStore
 
 TASK = "balance"
 PARTICLES = 12  # of the predictive bands
+RECORDINGS = 3  # of the same, at most
 
 
 Advance = Callable[..., None]  # of a progress bar
@@ -207,12 +209,21 @@ class Story:
         pool.shutdown(wait=False)
         return future
 
+    def _collect(self, *request: Any, **options: Any) -> list[Path]:
+        """Record; once more if a busy machine held up the robot."""
+        for _ in range(RECORDINGS - 1):
+            try:
+                return self.lab.collect(*request, **options)
+            except DemoError as error:
+                self.say(f"{error}; it is recorded again")
+        return self.lab.collect(*request, **options)
+
     def _motions(self, gaits: tuple[str, ...], name: str, seed: int, advance: Advance = _silent) -> list[Measurement]:
         """Each motion twice, on ground that is tilted another way each time."""
         folder, bags = self.folder / "rollouts" / name, []
         for i, gait in enumerate(gaits):
             for _ in range(2):
-                bags += self.lab.collect(
+                bags += self._collect(
                     TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope_of(i)]
                 )
                 advance(1)
@@ -221,7 +232,7 @@ class Story:
     def _deploy(self, policy: str, name: str, advance: Advance = _silent) -> list[Measurement]:
         """The task with a policy; the same seeds, hence the same slopes, before and after."""
         plan, folder = self.plan, self.folder / "rollouts" / name
-        bags = self.lab.collect(
+        bags = self._collect(
             TASK,
             policy,
             plan.deployments,

@@ -9,6 +9,7 @@ from tcbi_infer.bags.streams import Record, Recording, ordered
 from tcbi_sim.measurement import Commands
 
 MOST_DELAY_NS = 100_000_000
+LATE_NS = 100_000_000  # more than usual: the robot has been told something else for half a control period
 
 Row = tuple[int, np.ndarray, float, bool]  # stamp (ns), targets, ramp (s), torque on
 
@@ -51,6 +52,19 @@ def sending_delay(records: list[Record]) -> int:
     delays = np.array([record.log_time - record.stamp for record in records])
     median = int(np.median(delays))
     return median if 0 < median < MOST_DELAY_NS else 0
+
+
+def late_commands(recording: Recording, begin: int, end: int | None) -> list[tuple[float, float]]:
+    """From when commands were due to when they came (s), of those that came much later than usual: a stalled machine.
+
+    Where the clocks of stamps and recorder differ, or time is simulated, nothing is known of it.
+    """
+    records = recording.records.get(JOINT_COMMANDS, [])
+    usual = sending_delay(records) if records else 0
+    if not usual:
+        return []
+    late = [r for r in records if r.log_time - r.stamp - usual > LATE_NS and begin <= r.stamp < (end or r.stamp + 1)]
+    return [((r.stamp - begin) / 1e9, (r.log_time - begin) / 1e9) for r in late]
 
 
 def _rows(record: Record, joint_names: tuple[str, ...], last: np.ndarray | None) -> list[Row] | None:
