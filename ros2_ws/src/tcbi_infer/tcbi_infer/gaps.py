@@ -117,7 +117,7 @@ def unusable(m: Measurement, time: np.ndarray) -> Unusable:
         if name == LATE_COMMAND:
             samples |= time > due
             sentences.append(
-                f"The command that was due at {due:.2f} s came {came - due:.2f} s late, while the model is told in time: "
+                f"The command that was due at {due:.2f} s came {came - due:.2f} s late, but the model is told in time: "
                 f"left out of every error from {due:.2f} s on"
             )
             break
