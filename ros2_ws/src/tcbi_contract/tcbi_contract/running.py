@@ -5,6 +5,7 @@ def main(args=None) -> int:
 """
 
 import sys
+import time
 from collections.abc import Callable, Sequence
 
 import rclpy
@@ -15,6 +16,7 @@ from rclpy.node import Node
 
 from tcbi_contract.errors import TcbiError
 
+SIGNAL_S = 0.5  # for a signal to end the context
 RCLError = rclpy_implementation.RCLError  # rclpy gives it no public name
 
 
@@ -39,14 +41,22 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except RCLError:
-        if rclpy.ok():
-            raise  # else a signal has ended the context between two steps of the executor
     except (TcbiError, InvalidParameterException, InvalidParameterValueException) as error:
         sys.stderr.write(f"{name}: {' '.join(str(error).split())}\n")
         return 1
+    except (RCLError, RuntimeError):
+        if not _told_to_end():
+            raise  # else a signal came between two steps of the executor, or within a conversion of rclpy's
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _told_to_end() -> bool:
+    """Whether a signal ends the context, which its handler does from another thread."""
+    deadline = time.monotonic() + SIGNAL_S
+    while rclpy.ok() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return not rclpy.ok()
