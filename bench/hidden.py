@@ -103,9 +103,8 @@ def judged(job: tuple[str, str, str, int]) -> Result:
 def outcome(result: Result) -> str:
     """In a word: right, unsure (names the truth among others), wrong, missed, or false alarm."""
     hidden, verdict, uses = result["hidden"], result["verdict"], result["uses"]
-    place = result["truth"].get("effect", {})
-    leg = f":{place['leg']}" if isinstance(place, dict) and "leg" in place else ""
-    right = hidden + leg if hidden == "weak_leg" else hidden
+    leg = result["truth"]["effect"].get("leg")
+    right = f"{hidden}:{leg}" if leg else hidden
     if hidden == NONE:
         return "right" if verdict == NOTHING_MISSING else "false alarm"
     if verdict == EFFECT:

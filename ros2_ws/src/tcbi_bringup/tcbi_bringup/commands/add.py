@@ -98,8 +98,9 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
     console.table("mean parameters", ["parameter", "unit", "mean"], rows)
     errors = saved.evidence.get("errors", {})
     if effect in errors:
+        judged = "rollouts that no fit has seen" if saved.evidence["sealed"] else "motions held out in turn"
         print(
-            f"error over the noise floor on rollouts that no fit has seen: {errors['base']:.1f} with {model.version} "
+            f"error over the noise floor on {judged}: {errors['base']:.1f} with {model.version} "
             f"fitted again, {errors[effect]:.1f} with {saved.version}"
         )
         if not saved.evidence["accepted"]:

@@ -43,7 +43,7 @@ class Settings:
 
     refine: int = 3  # candidates that get a full fit
     per_effect: int = 2  # sites of one effect among them
-    least_share: float = -np.inf  # of the best candidate's gain in screening, that a full fit takes
+    least_share: float | None = None  # of the best candidate's gain in screening, that a full fit takes; None: any
     timestep: float = 0.002  # s, of the final fits
     coarse: float = 0.005  # s, of the screening and of first fits
     seed: int = 0
@@ -204,8 +204,7 @@ class _Run:
     def _choose(self, directions: Directions, gains: np.ndarray) -> list[int]:
         """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
         mean = gains.mean(axis=0)
-        share = self.settings.least_share
-        least = share * mean.max() if np.isfinite(share) else -np.inf  # one kind of motion gains nothing: 0 times inf
+        least = -np.inf if self.settings.least_share is None else self.settings.least_share * mean.max()
         order = [u for u in np.argsort(-mean) if mean[u] >= least]
         chosen: list[int] = []
         per_effect: dict[str, int] = {}
