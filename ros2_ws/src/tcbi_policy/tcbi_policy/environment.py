@@ -4,11 +4,15 @@
     observation, info = environment.reset()
     observation, reward, terminated, truncated, info = environment.step(action)
 
-Every episode has its own physical parameters, drawn from the model's particles, and its own scenario. Episodes never
-end early: all of them are truncated together at the task's duration, and the next ones begin in the same step (the last
-observations are in `info["final_obs"]`). Episode set g of seed s is a function of (s, g) alone, so that a training run
-that was killed can go on as if nothing had happened. Physics and reward are the engine's and `reward.step_rewards`;
-there is no copy of either here.
+Every episode has its own physical parameters, drawn from the model's particles, and its own scenario; any model will
+do: a version, a posterior, or one of `randomisation.py`, in which each episode has some effects and not others.
+Episodes never end early: all of them are truncated together at the task's duration, and the next ones begin in the
+same step (Gymnasium's SAME_STEP: the last observations are in `info["final_obs"]`). Episode set g of seed s is a
+function of (s, g) alone, so that a training run that was killed can go on as if nothing had happened. Physics and
+reward are the engine's and `reward.step_rewards`; there is no copy of either here.
+
+`HexapodEnv` is one such simulation behind Gymnasium's single-environment interface, registered as `tcbi/Balance-v0` and
+`tcbi/Forward-v0` by `register()`.
 """
 
 import dataclasses
@@ -22,9 +26,9 @@ from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_policy.reward import inclination, progress, step_rewards
 from tcbi_sim.engine import Simulator
 from tcbi_sim.measurement import Scenario, observation, roll_pitch_yaw
-from tcbi_sim.model import Model
+from tcbi_sim.model import Model, base_model
 from tcbi_sim.sensing import Samples
-from tcbi_sim.tasks import find_task
+from tcbi_sim.tasks import TASKS, find_task
 
 TIMESTEP_S = 0.01  # implicitfast with the elliptic cone follows finer steps within 0.15 degrees
 SQUASH_BOUND = 3.0  # tanh(3) is 0.995
@@ -48,6 +52,7 @@ class HexapodVectorEnv(VectorEnv):
         seed: int = 0,
         *,
         squash: bool = False,
+        observation_noise: float = 0.0,
         timestep: float = TIMESTEP_S,
         threads: int = 0,
     ):
@@ -60,11 +65,14 @@ class HexapodVectorEnv(VectorEnv):
           seed: of parameters and scenarios.
           squash: the action is in [-3, 3] and the joint target is limit * tanh(action), instead of an action in
             [-1, 1] that is multiplied by the limit.
+          observation_noise: rad, standard deviation of white noise on every entry of the observation (the paper's
+            equation 14); the reward sees the true state.
           timestep: s of the physics.
           threads: 0 for all processors.
         """
         self.model, self.task, self.num_envs, self.generation = model, find_task(task), count, 0
-        self._seed, self._squash = seed, squash
+        self._seed, self._squash, self._observation_noise = seed, squash, observation_noise
+        self._noise = np.random.default_rng(0)
         parameters, scenarios = self._draw()
         room = dataclasses.replace(scenarios[0], blocks=(scenarios[0].blocks * self.task.blocks)[: self.task.blocks])
         self.simulator = Simulator(model, parameters, [room, *scenarios[1:]], timestep, threads)
@@ -95,7 +103,8 @@ class HexapodVectorEnv(VectorEnv):
 
     def _begin(self) -> None:
         parameters, self._scenarios = self._draw()
-        self.simulator.reset(parameters=parameters, scenarios=self._scenarios)
+        self._noise = np.random.default_rng([self._seed, self.generation, 15485863])
+        self.simulator.reset(parameters=parameters, scenarios=self._scenarios, rewind=True)
         start = [s.initial_joint_position or np.zeros(len(self.simulator.rig.joint_names)) for s in self._scenarios]
         self._previous = np.array(start, float)
         self._heading = np.array([s.initial_yaw for s in self._scenarios])
@@ -116,7 +125,8 @@ class HexapodVectorEnv(VectorEnv):
         ended = np.full(self.num_envs, self._taken == self.steps)
         info: dict[str, Any] = {"diverged": self.simulator.diverged.copy()}
         if ended.all():
-            info |= {"final_obs": self._observation(), "final_info": self._outcome()}
+            info |= {"final_obs": self._observation(), "_final_obs": ended, "final_info": self._outcome()}
+            info["_final_info"] = ended
             self.generation += 1
             self._begin()
         return self._observation(), reward, np.zeros(self.num_envs, bool), ended, info
@@ -136,6 +146,8 @@ class HexapodVectorEnv(VectorEnv):
 
     def _observation(self) -> np.ndarray:
         seen = observation(self._now.joint_position[:, -1], self._attitude(self._now), self._yaw)
+        if self._observation_noise:
+            seen = seen + self._observation_noise * self._noise.standard_normal(seen.shape)
         return np.nan_to_num(seen, posinf=0.0, neginf=0.0).clip(-np.pi, np.pi).astype(np.float32)
 
     @staticmethod
@@ -147,3 +159,55 @@ class HexapodVectorEnv(VectorEnv):
     def _position(samples: Samples) -> np.ndarray:
         assert samples.position is not None
         return samples.position[:, -1]
+
+
+class HexapodEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One episode at a time of one simulation; arguments as for `HexapodVectorEnv`."""
+
+    metadata = {"render_modes": []}
+
+    def __init__(self, model: Model | None = None, task: str = "balance", seed: int = 0, **options: Any):
+        """Make the simulation; without a model, the prior of the hexapod as it is built in."""
+        self._vector = HexapodVectorEnv(model or base_model("hexapod"), task, 1, seed, **options)
+        self.observation_space = self._vector.single_observation_space
+        self.action_space = self._vector.single_action_space
+        self._next: np.ndarray | None = None  # first observation of an episode that has begun already
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start the next episode; a seed starts again from its first one."""
+        super().reset(seed=seed)
+        if seed is not None or self._next is None:
+            self._next = self._vector.reset(seed=seed)[0][0]
+        first, self._next = self._next, None
+        return first, {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One control period; the time limit truncates, nothing terminates."""
+        observation, reward, _, truncated, info = self._vector.step(np.asarray(action)[None])
+        facts: dict[str, Any] = {"diverged": bool(info["diverged"][0])}
+        if not truncated[0]:
+            return observation[0], float(reward[0]), False, False, facts
+        self._next = observation[0]
+        facts |= {name: float(values[0]) for name, values in info["final_info"].items()}
+        return info["final_obs"][0], float(reward[0]), False, True, facts
+
+
+def register() -> None:
+    """Make every task known to `gymnasium.make` and `make_vec`, as `tcbi/<Task>-v0`."""
+    for task in TASKS:
+        name = f"tcbi/{task.capitalize()}-v0"
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point=f"{__name__}:HexapodEnv",
+                vector_entry_point=f"{__name__}:make_vector_env",
+                kwargs={"task": task},
+                order_enforce=False,
+            )
+
+
+def make_vector_env(num_envs: int, task: str, model: Model | None = None, **options: Any) -> HexapodVectorEnv:
+    """What `gymnasium.make_vec` calls."""
+    return HexapodVectorEnv(model or base_model("hexapod"), task, num_envs, **options)

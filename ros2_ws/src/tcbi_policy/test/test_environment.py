@@ -1,9 +1,13 @@
 """The training environment is the engine and the reward, nothing else."""
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-from tcbi_policy.environment import HexapodVectorEnv
+from tcbi_policy.environment import HexapodEnv, HexapodVectorEnv, register
 from tcbi_policy.gaits import Gait
 from tcbi_policy.reward import simulated_rewards
 from tcbi_sim.engine import simulate
@@ -61,6 +65,13 @@ def test_a_set_of_episodes_depends_on_seed_and_number_alone(episode: tuple) -> N
     later = HexapodVectorEnv(MODEL, "balance", 4, seed=3)
     later.generation = 1
     np.testing.assert_array_equal(later.reset()[0], seen[-1])
+    action = np.full((4, 18), 0.3)
+    whole = HexapodVectorEnv(MODEL, "balance", 4, seed=3)
+    whole.reset()
+    for _ in range(whole.steps):
+        whole.step(action)
+    for ours, theirs in zip(later.step(action)[:2], whole.step(action)[:2], strict=True):
+        np.testing.assert_array_equal(ours, theirs)  # to the last bit, or a resumed training drifts away
     other, _ = HexapodVectorEnv(MODEL, "balance", 4, seed=4).reset()
     assert np.abs(other - seen[0]).max() > 0.01
     np.testing.assert_array_equal(later.reset(seed=3)[0], seen[0])
@@ -88,3 +99,52 @@ def test_a_forward_set_has_room_for_the_blocks_of_every_later_one() -> None:
         environment.generation = generation
         environment.reset()
     assert environment.observation_space.contains(environment.step(np.zeros((2, 18)))[0])
+
+
+def test_a_single_environment_passes_the_checks_of_gymnasium_and_stable_baselines() -> None:
+    register()
+    check_env(gymnasium.make("tcbi/Balance-v0").unwrapped, skip_render_check=True)
+    sb3_check_env(HexapodEnv(MODEL, "forward"), warn=True)
+
+
+def test_the_vector_environment_keeps_gymnasiums_promises() -> None:
+    register()
+    environment = gymnasium.make_vec("tcbi/Balance-v0", num_envs=3)
+    assert environment.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
+    recorded = RecordEpisodeStatistics(environment)
+    first, _ = recorded.reset(seed=5)
+    assert first in environment.observation_space
+    environment.action_space.seed(0)
+    total, info = np.zeros(3), {}
+    for _ in range(40):
+        observation, reward, terminated, truncated, info = recorded.step(environment.action_space.sample())
+        assert observation in environment.observation_space
+        assert reward.shape == terminated.shape == truncated.shape == (3,) and truncated.dtype == bool
+        total += reward
+    assert truncated.all() and info["_final_obs"].all()
+    np.testing.assert_allclose(info["episode"]["r"], total, rtol=1e-6)
+    np.testing.assert_array_equal(recorded.reset(seed=5)[0], first)
+
+
+def test_an_episode_of_the_single_environment_is_that_of_a_vector_of_one() -> None:
+    single, vector = HexapodEnv(MODEL, "balance", 3), HexapodVectorEnv(MODEL, "balance", 1, 3)
+    pairs = [(single.reset()[0], vector.reset()[0][0])]
+    action, ended = np.full(18, 0.1, np.float32), False
+    while not ended:
+        one, _, _, ended, facts = single.step(action)
+        many, _, _, _, info = vector.step(action[None])
+        pairs.append((one, info["final_obs"][0] if ended else many[0]))
+    assert set(facts) == {"diverged", "inclination", "distance"}
+    pairs.append((single.reset()[0], many[0]))
+    for ours, theirs in pairs:
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_observation_noise_has_the_size_that_was_asked_for_and_leaves_the_reward_alone() -> None:
+    clean, noisy = (HexapodVectorEnv(MODEL, "balance", 64, 1, observation_noise=s) for s in (0.0, 0.05))
+    difference = noisy.reset()[0] - clean.reset()[0]
+    assert difference.std() == pytest.approx(0.05, rel=0.1)
+    actions = np.zeros((64, 18))
+    np.testing.assert_array_equal(noisy.step(actions)[1], clean.step(actions)[1])
+    again, _ = noisy.reset()
+    np.testing.assert_array_equal(again, noisy.reset()[0])

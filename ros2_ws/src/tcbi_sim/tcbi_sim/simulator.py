@@ -141,14 +141,19 @@ class Simulator:
         ids: np.ndarray | None = None,
         parameters: np.ndarray | None = None,
         scenarios: Sequence[Scenario] | None = None,
+        rewind: bool = False,
     ) -> None:
-        """Put simulations at the start of an episode, settled in their initial posture. Time goes on.
+        """Put simulations at the start of an episode, settled in their initial posture. Time goes on, or is rewound.
 
         Args:
           ids: (n,) which; None for all.
           parameters: (n, P) new values; None to keep them.
           scenarios: n new ones; None to keep them. At most as many blocks as when the simulator was made.
+          rewind: time starts at 0 again, so that the episode has the same bits as in a new simulator; for all of them.
         """
+        if rewind and ids is not None:
+            raise SimError("time is one for all simulations: rewind it only where all of them begin anew (ids=None)")
+        self._taken = 0 if rewind else self._taken
         ids = np.arange(self.count) if ids is None else np.asarray(ids)
         if parameters is not None:
             self.parameters[ids] = parameters

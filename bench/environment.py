@@ -1,0 +1,114 @@
+"""What the training environment costs beside its physics, and beside Stable-Baselines3's way of having many of them.
+
+./tcbi python bench/environment.py            # seven pairs
+./tcbi python bench/environment.py --quick    # three
+"""
+
+import argparse
+import functools
+import itertools
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from mujoco.batch import Batch
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_policy.environment import TIMESTEP_S, HexapodEnv, HexapodVectorEnv
+from tcbi_policy.gaits import Gait
+from tcbi_sim.model import base_model
+
+COUNT = 64  # environments, as many as a training steps
+SINGLES = 8  # of DummyVecEnv, whose cost is proportional to them
+SETTLE_STEPS = round(1.0 / TIMESTEP_S)
+
+
+def seconds(work: Callable[[], Any]) -> float:
+    """Wall time of one run."""
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def measure(pairs: int) -> list[dict[str, Any]]:
+    """Figures; every ratio is the median over pairs of runs in turn."""
+    model = base_model("hexapod")
+    environment = HexapodVectorEnv(model, "balance", COUNT)
+    gait = Gait("steps")
+    actions = [gait.act(0.2 * k, np.zeros((COUNT, 21))) / environment.limit for k in range(environment.steps)]
+
+    def episodes() -> None:
+        """One set of episodes: drawing, settling, 40 control steps with rewards."""
+        environment.generation = 0
+        environment.reset()
+        for action in actions[:-1]:  # the last one would begin the next set
+            environment.step(action)
+
+    episodes()
+    physics = bare_physics(environment, actions[:-1])
+    dummy = DummyVecEnv([functools.partial(HexapodEnv, model, "balance", k) for k in range(SINGLES)])
+
+    def one_by_one() -> None:
+        dummy.reset()
+        for action in actions[:-1]:
+            dummy.step(action[:SINGLES].astype(np.float32))
+
+    shares, speedups = [], []
+    for _ in range(pairs):
+        whole = seconds(episodes)
+        shares.append(seconds(physics) / whole)
+        speedups.append((seconds(one_by_one) / SINGLES) / (whole / COUNT))
+    return [
+        figure("share of the environment's time that is physics, median", statistics.median(shares), 0.8),
+        figure("DummyVecEnv over single environments to the vector environment, time of a control step, median",
+               statistics.median(speedups), 3.0),
+    ]  # fmt: skip
+
+
+def bare_physics(environment: HexapodVectorEnv, actions: list[np.ndarray]) -> Callable[[], None]:
+    """MuJoCo alone: the same models on the same ground through the same controls, settling included."""
+    environment.generation = 0
+    environment.reset()
+    own, data = zip(*(environment.simulator.materialise(i) for i in range(COUNT)), strict=True)
+    for m in own:
+        m.opt.timestep = TIMESTEP_S
+    batch = Batch(own[0], COUNT)
+    batch.set_models(list(own))
+    posture = np.array([s.initial_joint_position for s in environment.simulator.scenarios])
+    targets = [posture, *(environment.limit * np.clip(a, -1.0, 1.0) for a in actions)]
+    steps = round(CONTROL_PERIOD_S / TIMESTEP_S)
+    share = (np.arange(steps) + 0.5)[None, :, None] / steps
+    ramps = [a[:, None] + share * (b - a)[:, None] for a, b in itertools.pairwise(targets)]
+    standing = np.repeat(posture[:, None], SETTLE_STEPS, axis=1)
+
+    def run() -> None:
+        batch.reset()
+        batch.bind("qpos")[...] = [d.qpos for d in data]
+        batch.rollout(SETTLE_STEPS, standing)
+        for ramp in ramps:
+            batch.rollout(steps, ramp, record=("sensordata",))
+
+    return run
+
+
+def figure(name: str, value: float, target: float) -> dict[str, Any]:
+    """One measured ratio beside its target."""
+    return {"name": name, "value": round(value, 3), "unit": "1", "target": target, "met": bool(value >= target)}
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="three pairs")
+    options = parser.parse_args()
+    print(json.dumps({"name": "environment", "figures": measure(3 if options.quick else 7)}, indent=2))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
