@@ -1,6 +1,7 @@
 """`./tcbi compare`: the error of a model on bags, per signal and joint, beside the noise floor."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
     from tcbi_infer.compare import Comparison
+    from tcbi_infer.compare.ladder import Rung
 
 SUMMARY = "Replay recorded commands in a model and measure the error of every signal beside the noise floor."
 
@@ -24,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_model(parser)
     console.add_report(parser)
     parser.add_argument("--timestep", type=float, default=0.002, help="s, of the simulation (default: 0.002)")
+    parser.add_argument(
+        "--particles", type=int, default=16, help="draws of the parameters for the predictive bands (default: 16)"
+    )
     console.add_store(parser)
     console.add_json(parser)
 
@@ -32,33 +37,38 @@ def run(args: argparse.Namespace) -> int:
     """Read, compare, report, print."""
     from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.compare import compare
-    from tcbi_infer.report import Report, add_comparison
-    from tcbi_infer.report.sections import add_ladder
+    from tcbi_infer.compare.ladder import ladder, lineage
+    from tcbi_infer.report import Report, add_comparison, file_name
     from tcbi_sim.store import ModelStore
 
     measurements = read_measurements(args.bags)
     store = ModelStore(args.store)
     model = store.load(args.model, measurements[0].rig)
     console.note(f"replaying {len(measurements)} rollouts in {model.version}")
-    comparison = compare(model, measurements, timestep=args.timestep)
+    comparison = compare(model, measurements, timestep=args.timestep, particles=args.particles)
+    line = lineage(model, store.history(model.rig))
+    rungs = ladder(comparison, line, measurements, timestep=args.timestep)
     report = Report("Model against measurement", f"Model {model.version}, {len(comparison.rollouts)} rollouts.")
-    add_ladder(report, [(model.version, comparison.error_over_floor)])
-    add_comparison(report, comparison)
-    path = report.write(args.report or store.folder("reports") / f"compare-{model.version}.html")
+    add_comparison(report, comparison, rungs=rungs)
+    name = file_name("compare", model.version, comparison.rollouts)
+    path = report.write(args.report or store.folder("reports") / name)
     if args.json:
-        console.emit({**comparison.to_json(), "report": str(path)})
+        console.emit({**comparison.to_json(), "ladder": rungs, "report": str(path)})
     else:
-        _print(comparison, path)
+        _print(comparison, rungs, path)
     return 0
 
 
-def _print(comparison: "Comparison", path: Path) -> None:
+def _print(comparison: "Comparison", rungs: "Sequence[Rung]", path: Path) -> None:
     for guard in comparison.guards:
         print(f"note: {guard}")
-    rows = [[s.name, s.unit, s.error, s.noise_floor, s.ratio, s.coverage90] for s in comparison.signals]
-    head = ["signal", "unit", "error", "noise floor", "error / floor", "inside 90 % band"]
+    errors = (*comparison.signals, *comparison.statistics)
+    rows = [[s.name, s.unit, s.error, s.noise_floor, s.ratio, s.coverage90, s.crps] for s in errors]
+    head = ["signal", "unit", "error", "noise floor", "error / floor", "inside 90 % band", "CRPS"]
     console.table(f"{comparison.model} on {len(comparison.rollouts)} rollouts", head, rows)
-    print(f"error over noise floor, joints and attitude: {comparison.error_over_floor:.2f}")
+    print("error over noise floor, joints and attitude:")
+    for rung in rungs:
+        print(f"  {rung.error_over_floor:8.2f}  {rung.label}{' (fitted to some of these)' if rung.fitted_here else ''}")
     print(comparison.floor.statement)
     for finding in comparison.where:
         print(f"  {finding.statement}")

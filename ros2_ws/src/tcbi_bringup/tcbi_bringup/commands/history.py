@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     """Load every version, compare, report, print."""
     from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.compare.history import history
-    from tcbi_infer.report import Report, add_history
+    from tcbi_infer.report import Report, add_history, file_name
     from tcbi_sim.errors import UnknownNameError
     from tcbi_sim.store import ModelStore
 
@@ -52,12 +52,14 @@ def run(args: argparse.Namespace) -> int:
         for v in lines
     ]
     report = Report("Model versions", "The error of each version on rollouts that no fit has seen.")
-    add_history(report, rows)
-    path = report.write(args.report or store.folder("reports") / f"history-{rig}.html")
+    add_history(report, rows, lines[0].floor_from_replicates)
+    name = file_name("history", versions[-1].version, lines[0].rollouts)
+    path = report.write(args.report or store.folder("reports") / name)
     if args.json:
         console.emit({"models": lines, "report": str(path)})
         return 0
     console.table("", ["model", "parent", "effects", "error / noise floor"], rows)
-    print("A noise floor of 1 is the robot against itself; – where no rollout unseen by the fits was compared.")
+    floor = "estimated, since no motion was repeated" if lines[0].floor_from_replicates is False else "the noise floor"
+    print(f"1 is {floor}; – where no rollout unseen by the fits was compared.")
     print(f"report: {path}")
     return 0

@@ -1,35 +1,28 @@
 """Compares a model's prediction with measured rollouts, signal by signal, beside the noise floor."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from tcbi_infer.compare import task
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.locate import Finding, locate
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.compare.signals import ATTITUDE, JOINT, Layout
+from tcbi_infer.compare.scorer import Scorer, SignalError, error_over_floor
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
+__all__ = ["Comparison", "SignalError", "compare", "error_figure", "error_over_floor"]
+
 PARTICLES = 16  # simulated for the predictive bands
+MOST_PARTICLES = 256
+MEMORY = 256 * 2**20  # bytes of predicted channels held at a time
 IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than this changes nothing
-
-
-@dataclasses.dataclass(frozen=True)
-class SignalError:
-    """The error of one signal's prediction, root mean square over all samples."""
-
-    name: str
-    unit: str
-    error: float
-    noise_floor: float
-    ratio: float  # error / noise floor
-    coverage90: float  # share of samples inside the predictive 90 % band; NaN if the model is a single point
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +30,8 @@ class Comparison:
     """A model beside measurements.
 
     Attributes:
+      signals: every channel, then distance and reward over time.
+      statistics: what the task is about, one figure a rollout: return, final inclination, contact ratios, …
       error_over_floor: root mean square of `ratio` over joints and attitude.
       guards: findings about the recording and the replay, to be read before any figure.
       predicted: (R, T, C) with the model's mean parameters; `low`, `high` bound the predictive 90 % band.
@@ -45,6 +40,7 @@ class Comparison:
     model: str
     rollouts: tuple[str, ...]
     signals: tuple[SignalError, ...]
+    statistics: tuple[SignalError, ...]
     error_over_floor: float
     floor: NoiseFloor
     guards: tuple[str, ...]
@@ -60,6 +56,7 @@ class Comparison:
             "model": self.model,
             "rollouts": list(self.rollouts),
             "signals": [dataclasses.asdict(s) for s in self.signals],
+            "statistics": [dataclasses.asdict(s) for s in self.statistics],
             "error_over_floor": self.error_over_floor,
             "floor_from_replicates": self.floor.from_replicates,
             "guards": list(self.guards),
@@ -84,114 +81,107 @@ def compare(
       measurements: rollouts of the same rig.
       parameters: (P,) to predict with instead of the model's mean.
       timestep: s, of the replay.
-      particles: simulated for the predictive bands; 0 for none.
+      particles: simulated for the predictive bands, at most `MOST_PARTICLES`; 0 for none. Memory does not grow with
+        them: they are simulated for a few motions at a time.
       seed: of the draw of particles.
       floor: from more rollouts of the same robot than these few; by default these rollouts' own.
 
     Raises:
-      CompareError: nothing to compare, another rig's rollouts, or a floor of other signals.
+      CompareError: nothing to compare, another rig's rollouts, a floor of other signals, or too many particles.
     """
+    if not 0 <= particles <= MOST_PARTICLES:
+        raise CompareError(f"{particles} particles for the predictive bands, allowed is 0 to {MOST_PARTICLES}")
     replay = Replay.of(model, measurements)
     mean = np.asarray(model.mean() if parameters is None else parameters)
-    rng = np.random.default_rng(seed)
-    draws = model.sample(rng, particles) if particles and parameters is None else np.empty((0, len(mean)))
-    predicted = replay.predict(model, np.concatenate([mean[None], draws]), timestep=timestep)
-    by_rollout = replay.by_rollout(predicted)
-    residual = replay.measured - by_rollout[0]
+    draws = mean[None]
+    if particles and parameters is None:
+        draws = model.sample(np.random.default_rng(seed), particles)
+    rollouts = replay.simulate(model, mean[None], timestep=timestep)
+    predicted = replay.by_rollout(replay.channels(rollouts)[0])
+    residual = replay.measured - predicted
     floor = floor or noise_floor(replay.layout, replay.measured, residual, replay.replicates)
     if len(floor.values) != len(replay.layout.channels):
         raise CompareError(f"the floor has {len(floor.values)} signals, these rollouts {len(replay.layout.channels)}")
-    low, high = predictive_band(by_rollout[1:] if len(draws) else by_rollout, floor.values)
+    scorer = Scorer(replay, floor, predicted, _task_mean(replay, task.predicted(replay, rollouts, _all(replay))))
+    for sets in _chunks(replay, len(draws)):
+        scorer.take(sets, replay.simulate(model, draws, sets, timestep))
     findings = guard(measurements) + _idle_parameters(model, replay, mean, floor.values)
-    if not np.isfinite(by_rollout[0]).any():
+    if not np.isfinite(predicted).any():
         findings.append("The simulation at the model's mean parameters diverged, so there is no prediction.")
     where = locate(
-        load_rig(model.rig), replay.layout, replay.measurements, replay.time, residual, by_rollout[0], floor.values
+        load_rig(model.rig), replay.layout, replay.measurements, replay.time, residual, predicted, floor.values
     )
-    signals = signal_errors(replay.layout, residual, floor.values, replay.measured, low, high)
     return Comparison(
         model.version,
         tuple(m.rollout_id for m in replay.measurements),
-        signals,
+        (*scorer.channel_errors(), *scorer.task_errors(signals=True)),
+        scorer.task_errors(signals=False),
         error_over_floor(replay.layout, residual, floor.values),
         floor,
         tuple(findings),
         tuple(where),
         replay,
-        by_rollout[0],
-        low,
-        high,
+        predicted,
+        scorer.low,
+        scorer.high,
     )
 
 
-def ratios(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """(C,) root mean square error of each channel over its noise floor; NaN where nothing was measured."""
-    kept = layout.kept(residual.shape[1]) & np.isfinite(residual)
-    count = kept.sum(axis=(0, 1))
-    squares = np.where(kept, np.nan_to_num(residual) ** 2, 0.0).sum(axis=(0, 1))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.sqrt(squares / count) / floor
+def error_figure(
+    model: Model, measurements: Sequence[Measurement], *, timestep: float = 0.002, floor: NoiseFloor | None = None
+) -> float:
+    """The one figure of `compare`, without all the rest.
 
-
-def error_over_floor(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> float:
-    """The one figure for a model: root mean square, over joints and attitude, of error over noise floor.
-
-    1 means that the model predicts the robot as well as the robot repeats itself.
-
-    Args:
-      layout: the channels.
-      residual: (R, T, C) measured less predicted.
-      floor: (C,).
+    Raises:
+      CompareError: nothing to compare, or another rig's rollouts.
     """
-    return float(np.sqrt(np.nanmean(ratios(layout, residual, floor)[layout.where(JOINT, ATTITUDE)] ** 2)))
+    replay = Replay.of(model, measurements)
+    predicted = replay.by_rollout(replay.predict(model, model.mean()[None], timestep=timestep)[0])
+    residual = replay.measured - predicted
+    floor = floor or noise_floor(replay.layout, replay.measured, residual, replay.replicates)
+    return error_over_floor(replay.layout, residual, floor.values)
 
 
-def signal_errors(
-    layout: Layout, residual: np.ndarray, floor: np.ndarray, measured: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[SignalError, ...]:
-    """The error of every channel that was measured."""
-    ratio = ratios(layout, residual, floor)
-    kept = layout.kept(residual.shape[1]) & np.isfinite(measured) & np.isfinite(low)
-    inside = kept & (measured >= low) & (measured <= high)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        coverage = inside.sum(axis=(0, 1)) / kept.sum(axis=(0, 1))
-    return tuple(
-        SignalError(
-            c.name, c.group.unit, float(ratio[i] * floor[i]), float(floor[i]), float(ratio[i]), float(coverage[i])
-        )
-        for i, c in enumerate(layout.channels)
-        if np.isfinite(ratio[i])
-    )
+def _all(replay: Replay) -> list[int]:
+    return list(range(len(replay.replicates)))
 
 
-def predictive_band(predicted: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The central 90 % of what the model says would be measured, noise included.
+def _chunks(replay: Replay, particles: int) -> Iterator[list[int]]:
+    """Replicate sets, as many at a time as fit into `MEMORY`."""
+    largest = max(len(g.members) for g in replay.replicates)
+    each = particles * largest * len(replay.time) * len(replay.layout.channels) * 8
+    count = max(1, MEMORY // each)
+    sets = _all(replay)
+    for begin in range(0, len(sets), count):
+        yield sets[begin : begin + count]
 
-    Args:
-      predicted: (N, R, T, C) one prediction for each draw of the parameters.
-      floor: (C,) standard deviation of the noise.
 
-    Returns:
-      low, high: (R, T, C).
-    """
-    if len(predicted) == 1:
-        return predicted[0] - 1.645 * floor, predicted[0] + 1.645 * floor
-    spread = np.nanstd(predicted, axis=0)
-    middle = np.nanmean(predicted, axis=0)
-    half = 1.645 * np.sqrt(spread**2 + floor**2)
-    return middle - half, middle + half
+def _task_mean(replay: Replay, found: tuple[task.Values, np.ndarray]) -> task.Values:
+    """The prediction at the mean parameters in the order of the rollouts."""
+    values, owners = found
+    return {name: v[0][np.argsort(owners)] for name, v in values.items()}
 
 
 def _idle_parameters(model: Model, replay: Replay, mean: np.ndarray, floor: np.ndarray) -> list[str]:
     """Parameters that these rollouts cannot speak of, because they change nothing in them."""
-    vectors = np.repeat(mean[None], 2 * len(mean), axis=0)
-    for p, parameter in enumerate(model.parameters):
-        vectors[2 * p, p], vectors[2 * p + 1, p] = parameter.from_unit(0.2), parameter.from_unit(0.8)
-    sets = list(range(min(3, len(replay.replicates))))
-    predicted = replay.predict(model, vectors, sets, timestep=0.005)
-    sentences = []
-    for p, parameter in enumerate(model.parameters):
-        change = (predicted[2 * p + 1] - predicted[2 * p]) / floor
-        if np.isfinite(change).any() and np.sqrt(np.nanmax(np.nanmean(change**2, axis=(0, 1)))) < IDLE:
-            sentences.append(f"The model's parameter {parameter.name} changes nothing in these rollouts.")
-    return sentences
+    idle, sets = list(range(len(mean))), _all(replay)
+    for part in (sets[:3], sets[3:]):  # the first motions clear most parameters
+        if part and idle:
+            idle = _without_change(model, replay, mean, floor, idle, part)
+    return [f"The model's parameter {model.names[p]} changes nothing in these rollouts." for p in idle]
+
+
+def _without_change(
+    model: Model, replay: Replay, mean: np.ndarray, floor: np.ndarray, among: Sequence[int], sets: Sequence[int]
+) -> list[int]:
+    """Which parameters leave some motions as they are when they go from 20 to 80 % of their range."""
+    vectors = np.repeat(mean[None], 2 * len(among), axis=0)
+    for k, p in enumerate(among):
+        vectors[2 * k, p], vectors[2 * k + 1, p] = (model.parameters[p].from_unit(u) for u in (0.2, 0.8))
+    moved = np.zeros(len(among))
+    for s in sets:
+        predicted = replay.predict(model, vectors, [s], timestep=0.005)[:, 0]
+        change = ((predicted[1::2] - predicted[::2]) / floor) ** 2
+        told = np.isfinite(change).all(axis=(1, 2))
+        moved = np.fmax(moved, np.where(told, np.sqrt(change.mean(axis=1).max(axis=1)), np.inf))
+    return [p for k, p in enumerate(among) if moved[k] < IDLE]

@@ -3,7 +3,10 @@
 import dataclasses
 from collections.abc import Sequence
 
-from tcbi_infer.compare.comparison import compare
+from tcbi_infer.compare.comparison import error_figure
+from tcbi_infer.compare.ladder import seen_by
+from tcbi_infer.compare.noise import NoiseFloor, noise_floor
+from tcbi_infer.compare.replay import Replay
 from tcbi_infer.seen import used_before
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -16,6 +19,7 @@ class VersionError:
     Attributes:
       error_over_floor: None where nothing unseen was measured.
       rollouts: those it was measured on; empty where the figure was kept from the diagnosis that made the version.
+      floor_from_replicates: None where the figure was kept and does not say.
     """
 
     model: str
@@ -23,31 +27,41 @@ class VersionError:
     effects: tuple[str, ...]
     error_over_floor: float | None
     rollouts: tuple[str, ...] = ()
+    floor_from_replicates: bool | None = None
 
 
 def history(models: Sequence[Model], measurements: Sequence[Measurement] = ()) -> list[VersionError]:
     """The error of each version.
 
-    With measurements every version is compared on the same rollouts: those that no version was fitted to. Without,
-    the figures are those that the diagnoses kept: of the versions they made, and of the versions they began with.
+    With measurements every version is compared on the same rollouts, over the same floor: those that no version was
+    fitted to. Without, the figures are those that the diagnoses kept: of the versions they made, and of the versions
+    they began with, unless one of those had been fitted to the same rollouts.
     """
     seen = {r for m in models for r in used_before(m)}
     unseen = [m for m in measurements if m.rollout_id not in seen]
+    if not unseen:
+        return [VersionError(m.version, m.parent, m.effects, _kept(m, models)) for m in models]
     names = tuple(m.rollout_id for m in unseen)
-    result = []
-    for model in models:
-        if unseen:
-            error: float | None = compare(model, unseen, particles=0).error_over_floor
-        else:
-            error = _kept(model, models)
-        result.append(VersionError(model.version, model.parent, model.effects, error, names))
-    return result
+    floor = _floor(models[0], unseen)
+    return [
+        VersionError(m.version, m.parent, m.effects, error_figure(m, unseen, floor=floor), names, floor.from_replicates)
+        for m in models
+    ]
+
+
+def _floor(model: Model, measurements: Sequence[Measurement]) -> NoiseFloor:
+    replay = Replay.of(model, measurements)
+    predicted = replay.by_rollout(replay.predict(model, model.mean()[None])[0])
+    return noise_floor(replay.layout, replay.measured, replay.measured - predicted, replay.replicates)
 
 
 def _kept(model: Model, models: Sequence[Model]) -> float | None:
     if "error_over_floor" in model.evidence:
         return model.evidence["error_over_floor"]
     for child in models:
-        if child.parent == model.version and "unfitted" in child.evidence.get("errors", {}):
-            return child.evidence["errors"]["unfitted"]
+        evidence = child.evidence
+        if child.parent == model.version and "unfitted" in evidence.get("errors", {}):
+            judged_on = set(evidence.get("sealed") or evidence.get("rollouts", ()))
+            if not judged_on & seen_by(model, models):
+                return evidence["errors"]["unfitted"]
     return None

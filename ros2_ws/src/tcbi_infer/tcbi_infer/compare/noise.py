@@ -16,10 +16,16 @@ class NoiseFloor:
     Attributes:
       values: (C,) in the channels' units, never below the channel's resolution.
       from_replicates: else estimated from fast changes of the residual, which misses slow differences.
+      estimated: indices of channels without repeats of their own, though others have some.
     """
 
     values: np.ndarray
     from_replicates: bool
+    estimated: tuple[int, ...] = ()
+
+    def replicated(self, channel: int) -> bool:
+        """Whether a channel's floor comes from repeats."""
+        return self.from_replicates and channel not in self.estimated
 
     @property
     def statement(self) -> str:
@@ -57,7 +63,9 @@ def noise_floor(
         with np.errstate(invalid="ignore", divide="ignore"):
             values = np.sqrt(squares / freedom)
         fallback = from_fast_changes(residual)
-        return NoiseFloor(np.fmax(np.where(np.isfinite(values), values, fallback), layout.floor()), True)
+        known = np.isfinite(values)
+        estimated = tuple(int(i) for i in np.nonzero(~known)[0])
+        return NoiseFloor(np.fmax(np.where(known, values, fallback), layout.floor()), True, estimated)
     return NoiseFloor(np.fmax(from_fast_changes(residual), layout.floor()), False)
 
 

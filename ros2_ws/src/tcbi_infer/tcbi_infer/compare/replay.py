@@ -9,7 +9,7 @@ from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
 from tcbi_infer.compare.replicates import Replicates, find_replicates
 from tcbi_infer.compare.signals import Layout
 from tcbi_infer.gaps import unusable
-from tcbi_sim.engine import simulate
+from tcbi_sim.engine import SimulatedRollouts, simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
@@ -81,8 +81,14 @@ class Replay:
         Returns:
           (N, len(sets), T, C) predicted channels; NaN for simulations that diverged.
         """
+        return self.channels(self.simulate(model, parameters, sets, timestep))
+
+    def simulate(
+        self, model: Model, parameters: np.ndarray, sets: Sequence[int] | None = None, timestep: float = 0.002
+    ) -> SimulatedRollouts:
+        """The simulations behind `predict`, with everything that they sense."""
         chosen = range(len(self.replicates)) if sets is None else sets
-        rollouts = simulate(
+        return simulate(
             model,
             np.atleast_2d(parameters),
             [self.scenarios[s] for s in chosen],
@@ -90,6 +96,9 @@ class Replay:
             timestep=timestep,
             rate=self.layout.rate,
         )
+
+    def channels(self, rollouts: SimulatedRollouts) -> np.ndarray:
+        """(N, S, T, C) channels of simulations; NaN for those that diverged."""
         predicted = self.layout.extract(rollouts)[:, :, -len(self.time) :]
         predicted[rollouts.diverged] = np.nan
         return predicted

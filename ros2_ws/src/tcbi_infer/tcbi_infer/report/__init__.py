@@ -1,8 +1,8 @@
 """Reports that a newcomer understands without help: one HTML file, nothing to install, nothing to load."""
 
-from tcbi_infer.report.page import Figure, Report, Section, Table
+from tcbi_infer.report.comparison import add_comparison
+from tcbi_infer.report.page import Figure, Report, Section, Table, file_name
 from tcbi_infer.report.sections import (
-    add_comparison,
     add_diagnosis,
     add_difference,
     add_history,
@@ -21,4 +21,5 @@ __all__ = [
     "add_history",
     "add_ladder",
     "add_version",
+    "file_name",
 ]

@@ -8,6 +8,7 @@ report.write(path)
 
 import dataclasses
 import datetime
+import hashlib
 import os
 import tempfile
 from collections.abc import Sequence
@@ -96,6 +97,14 @@ class Report:
         except OSError as e:
             raise InferError(f"cannot write the report {path}: {e.strerror}; choose another place") from e
         return path
+
+
+def file_name(kind: str, model: str, rollouts: Sequence[str] = ()) -> str:
+    """A report's file name by model version and rollouts: another model or other rollouts overwrite nothing."""
+    if not rollouts:
+        return f"{kind}-{model}.html"
+    digest = hashlib.sha256("\n".join(sorted(rollouts)).encode()).hexdigest()[:6]
+    return f"{kind}-{model}-{len(rollouts)}-rollouts-{digest}.html"
 
 
 def cell(value: Any) -> str:

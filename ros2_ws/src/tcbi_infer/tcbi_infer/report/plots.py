@@ -11,7 +11,9 @@ matplotlib.use("Agg", force=False)
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import MaxNLocator
 
+from tcbi_infer.compare.ladder import unexplained
 from tcbi_infer.compare.versions import Interval
 
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#8c949e"  # Okabe and Ito
@@ -57,19 +59,29 @@ def _times(ratio: float) -> str:
     return f"{ratio:.2g}" if ratio < 99.5 else f"{ratio:,.0f}"
 
 
-def ladder(errors: Sequence[tuple[str, float]]) -> str:
-    """Error over noise floor of the floor itself and of each model, one bar each, smallest possible at 1."""
+def ladder(errors: Sequence[tuple[str, float]], repeated: bool | None = None) -> str:
+    """Error over noise floor of the floor itself, of each model, and what the last one leaves unexplained.
+
+    Args:
+      errors: label and error over noise floor of each model.
+      repeated: whether the floor comes from repeats of the same commands, else it is estimated; None: not known.
+    """
+    floor = {True: "the robot against itself", False: "noise floor, estimated", None: "noise floor"}[repeated]
+    rest = unexplained(errors[-1][1]) if errors else float("nan")
+    bars = [(floor, 1.0, GREY), *((label, value, BLUE) for label, value in errors)]
+    bars += [("left unexplained", rest, ORANGE)] if np.isfinite(rest) else []
     with matplotlib.rc_context(STYLE):
-        labels = ["the robot against itself", *[label for label, _ in errors]]
-        values = np.array([1.0, *[value for _, value in errors]])
+        values = np.array([value for _, value, _ in bars])
         figure, axes = canvas(0.55 + 0.36 * len(values), WIDE)
-        colors = [GREY, *([BLUE] * (len(values) - 1))]
-        axes.barh(np.arange(len(values)), values, color=colors, height=0.62)
+        axes.barh(np.arange(len(values)), values, color=[color for *_, color in bars], height=0.62)
         for y, value in enumerate(values):
+            if not np.isfinite(value):
+                axes.annotate("no prediction: diverged", (0, y), (4, 0), textcoords="offset points", va="center")
+                continue
             beyond = max(value, 1.0) if value < 1.2 else value  # clear of the line at 1
             axes.annotate(_times(value), (beyond, y), (4, 0), textcoords="offset points", va="center", ha="left")
         axes.axvline(1.0, color=GREY, lw=0.8, ls="--")
-        axes.set_yticks(np.arange(len(values)), labels)
+        axes.set_yticks(np.arange(len(values)), [label for label, *_ in bars])
         axes.invert_yaxis()
         axes.set_xlim(0, float(np.nanmax(values)) * 1.12)
         axes.set_xlabel("error / noise floor")
@@ -146,6 +158,7 @@ def interval(
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
         axes.set_xlabel(f"{name} / {unit}" if unit not in ("", "1") else name)
+        axes.xaxis.set_major_locator(MaxNLocator(4))  # numbers like -0.00125 must not run into each other
         axes.set_ylim(-1, 1)
         return to_svg(figure)
 
@@ -161,16 +174,24 @@ def versions(name: str, unit: str, before: Interval, after: Interval, labels: tu
         axes.set_ylim(1.6, -0.6)
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel(f"{name} / {unit}" if unit not in ("", "1") else name)
+        axes.xaxis.set_major_locator(MaxNLocator(4))
         return to_svg(figure)
 
 
-def history(labels: Sequence[str], errors: Sequence[float]) -> str:
-    """The error of each model version, with the noise floor as a line."""
+def history(labels: Sequence[str], errors: Sequence[float], repeated: bool | None = None) -> str:
+    """The error of each model version, with the noise floor as a line; `repeated` as for the ladder."""
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(2.8, WIDE)
         axes.plot(np.arange(len(labels)), errors, "o-", color=BLUE)
         axes.axhline(1.0, color=ORANGE, ls="--", lw=1.2)
-        axes.text(0, 1.0, "noise floor", color=ORANGE, va="bottom", fontsize=9)
+        axes.text(
+            0,
+            1.0,
+            "noise floor" if repeated is not False else "noise floor, estimated",
+            color=ORANGE,
+            va="bottom",
+            fontsize=9,
+        )
         for x, error in enumerate(errors):
             if np.isfinite(error):
                 axes.annotate(_times(error), (x, error), xytext=(0, 7), textcoords="offset points", ha="center")

@@ -1,20 +1,14 @@
-"""The sections that comparison, diagnosis and history contribute to a report."""
+"""The sections that diagnosis, versions and history contribute to a report."""
 
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from tcbi_infer.compare.comparison import Comparison
-from tcbi_infer.compare.locate import worst_moments
-from tcbi_infer.compare.signals import JOINT
 from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis, Evidence
 from tcbi_infer.report import plots
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_sim.model import Model
 
-WORST_S = 1.5  # s, length of a moment shown
 HEADLINES = {
     EFFECT: "An effect is missing",
     CANNOT_TELL: "An effect is missing, but which one cannot be told",
@@ -29,65 +23,28 @@ def _nothing_held_out(d: Diagnosis) -> bool:
     return d.verdict == CANNOT_TELL and not d.effects
 
 
-def add_ladder(report: Report, errors: Sequence[tuple[str, float]], text: str = "") -> None:
-    """The error ladder: noise floor, then each model."""
+def add_ladder(
+    report: Report, errors: Sequence[tuple[str, float]], text: str = "", repeated: bool | None = None
+) -> None:
+    """The error ladder: noise floor, then each model, then what is left.
+
+    Args:
+      report: that it is added to.
+      errors: label and error over noise floor of each model.
+      text: one paragraph more.
+      repeated: whether the floor comes from repeats of the same commands, else it is estimated; None: not known.
+    """
+    itself = {
+        True: "in multiples of how much the robot differs from itself when it repeats a motion",
+        False: "in multiples of the noise floor, which is estimated here, since no motion was repeated",
+        None: "in multiples of the noise floor",
+    }[repeated]
     explain = (
-        "Each bar is how far the prediction is from the measurement, joints and attitude together, in multiples of how "
-        "much the robot differs from itself when it repeats a motion. 1 is as good as any model can be."
+        f"Each bar is how far the prediction is from the measurement, joints and attitude together, {itself}. 1 is as "
+        "good as any model can be."
     )
-    figure = Figure(plots.ladder(errors), "Error over noise floor, joints and attitude.", wide=True)
+    figure = Figure(plots.ladder(errors, repeated), "Error over noise floor, joints and attitude.", wide=True)
     report.add(Section("How wrong is the model?", text=[explain, *([text] if text else [])], figures=[figure]))
-
-
-def add_comparison(report: Report, comparison: Comparison, after: Comparison | None = None) -> None:
-    """Guards, where the error lives, the worst moments, every signal."""
-    c = comparison
-    headline = (
-        f"Model {c.model} errs by {c.error_over_floor:.1f} times the noise floor on {len(c.rollouts)} "
-        f"rollout{'s' if len(c.rollouts) != 1 else ''}."
-    )
-    tone = "good" if c.error_over_floor < 1.5 else "warn"
-    report.add(Section("Prediction against measurement", verdict=headline, tone=tone, text=[c.floor.statement]))
-    if c.guards:
-        text = ["Before any figure is believed: these findings may explain the error without any physics."]
-        report.add(Section("About the recording", text=text, notes=c.guards))
-    if c.where:
-        report.add(Section("Where the error lives", notes=[f.statement for f in c.where], figures=_worst(c, after)))
-    measured = [s for s in c.signals if np.isfinite(s.ratio)]
-    rows = [[s.name, s.unit, s.error, s.noise_floor, s.ratio, s.coverage90] for s in measured]
-    head = ["signal", "unit", "error", "noise floor", "ratio", "share inside 90 % band"]
-    bars = Figure(
-        plots.signal_bars([s.name for s in measured], [s.ratio for s in measured]), "Every signal.", wide=True
-    )
-    table = Table(head, rows, "Every signal in figures")
-    report.add(Section("Every signal", figures=[bars], table=table, folded=True))
-
-
-def _worst(c: Comparison, after: Comparison | None, count: int = 4) -> list[Figure]:
-    layout, replay = c.replay.layout, c.replay
-    joints = layout.where(JOINT)
-    span = round(WORST_S * layout.rate)
-    firsts = [g.members[0] for g in replay.replicates]  # replicates would show the same moment again
-    residual = (replay.measured - c.predicted)[firsts]
-    figures = []
-    for s, t, i in worst_moments(residual, c.floor.values, joints, count, span):
-        r = firsts[s]
-        cut = slice(t, t + span)
-        channel = layout.channels[i]
-        other = after.predicted[r, cut, i] if after is not None and after.rollouts == c.rollouts else None
-        svg = plots.overlay(
-            replay.time[cut],
-            replay.measured[r, cut, i],
-            c.predicted[r, cut, i],
-            c.low[r, cut, i],
-            c.high[r, cut, i],
-            f"{channel.name} / {channel.group.unit}",
-            other,
-        )
-        figures.append(
-            Figure(svg, f"One of the worst moments: {channel.name} in rollout {replay.measurements[r].rollout_id}.")
-        )
-    return figures
 
 
 def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
@@ -98,7 +55,7 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     report.add(Section(headline, verdict=d.statement, tone=tone, notes=d.claims))
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
-    add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in d.errors.items()])
+    add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in d.errors.items()], repeated=d.floor_from_replicates)
     if d.ranking:
         report.add(_ranking(d))
     if d.moments:
@@ -197,7 +154,8 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
         )
     report.add(Section(f"{child.version} follows {parent.version}", verdict=told, tone=tone))
     if evidence.get("errors"):
-        add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in evidence["errors"].items()])
+        errors = [(LABELS.get(k, f"with {k}"), v) for k, v in evidence["errors"].items()]
+        add_ladder(report, errors, repeated=evidence.get("floor_from_replicates"))
     own = [p for p in evidence.get("parameters", []) if p["name"] not in parent.names]
     before = dict(zip(parent.names, _quantiles(parent), strict=True))
     rows = [
@@ -247,9 +205,9 @@ def _quantiles(model: Model) -> list[str]:
     return [_span(interval) for interval in intervals(model).values()]
 
 
-def add_history(report: Report, rows: Sequence[tuple[str, str, str, float]]) -> None:
-    """Model versions: (version, parent, effects, error over floor)."""
-    svg = plots.history([r[0] for r in rows], [r[3] for r in rows])
+def add_history(report: Report, rows: Sequence[tuple[str, str, str, float]], repeated: bool | None = None) -> None:
+    """Model versions: (version, parent, effects, error over floor); `repeated` as in `add_ladder`."""
+    svg = plots.history([r[0] for r in rows], [r[3] for r in rows], repeated)
     caption = "Error of each version on rollouts that no fit has seen; the noise floor is 1."
     table = Table(["model", "parent", "effects", "error / noise floor"], rows)
     report.add(Section("Model versions", figures=[Figure(svg, caption, wide=True)], table=table))

@@ -1,0 +1,84 @@
+"""The error ladder: noise floor, base model, each added effect, and what remains unexplained."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_infer.compare.comparison import Comparison, error_figure
+from tcbi_infer.seen import used_before
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model
+
+
+@dataclasses.dataclass(frozen=True)
+class Rung:
+    """One version on the way from the base model to the one compared.
+
+    Attributes:
+      fitted_here: whether it, or one that it comes from, was fitted to some of these rollouts.
+    """
+
+    model: str
+    label: str
+    error_over_floor: float
+    fitted_here: bool
+
+
+def lineage(model: Model, models: Sequence[Model]) -> list[Model]:
+    """A version and those that it comes from, oldest first, as far as they are among `models`."""
+    known = {m.version: m for m in models}
+    line = [model]
+    while line[0].parent in known and known[line[0].parent] not in line:
+        line.insert(0, known[line[0].parent])
+    return line
+
+
+def seen_by(model: Model, models: Sequence[Model]) -> set[str]:
+    """The rollouts that a version or one that it comes from was fitted to."""
+    return {r for m in lineage(model, models) for r in used_before(m)}
+
+
+def ladder(
+    comparison: Comparison, line: Sequence[Model], measurements: Sequence[Measurement], *, timestep: float = 0.002
+) -> tuple[Rung, ...]:
+    """The error of each version on the same rollouts, over the same floor.
+
+    Args:
+      comparison: of the last version.
+      line: versions, oldest first, as `lineage` gives them.
+      measurements: the rollouts compared.
+      timestep: s, of the replay.
+    """
+    rungs = []
+    for before, model in zip([None, *line], line, strict=False):
+        error = (
+            comparison.error_over_floor
+            if model.version == comparison.model
+            else error_figure(model, measurements, timestep=timestep, floor=comparison.floor)
+        )
+        fitted = bool(seen_by(model, line) & set(comparison.rollouts))
+        rungs.append(Rung(model.version, label(model, before), error, fitted))
+    return tuple(rungs)
+
+
+def label(model: Model, before: Model | None) -> str:
+    """A version and what it has that the one before has not."""
+    if before is None:
+        return f"{model.version}: {', '.join(model.effects) or 'base model'}"
+    added = [e for e in model.effects if e not in before.effects]
+    removed = [e for e in before.effects if e not in model.effects]
+    words = [f"with {', '.join(added)}"] if added else []
+    words += [f"without {', '.join(removed)}"] if removed else []
+    return f"{model.version}: {', '.join(words) or 'parameters only'}"
+
+
+def unexplained(error_over_floor: float) -> float:
+    """What remains beyond the noise, in multiples of the floor: squares add up, so 1 leaves 0."""
+    return float(np.sqrt(max(error_over_floor**2 - 1.0, 0.0))) if np.isfinite(error_over_floor) else float("nan")
+
+
+def explained(base: float, last: float) -> float:
+    """Share of the base model's squared error beyond the floor that the last version no longer has; NaN without any."""
+    excess = base**2 - 1.0
+    return float(1.0 - max(last**2 - 1.0, 0.0) / excess) if excess > 0 else float("nan")

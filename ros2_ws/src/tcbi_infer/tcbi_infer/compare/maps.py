@@ -1,0 +1,109 @@
+"""Where the error lives, as maps: joint x phase of the motion, and error against load, speed, slope and time.
+
+All errors are root mean squares over the noise floor, so that 1 is as good as any model can be.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from tcbi_infer.compare.comparison import Comparison
+from tcbi_infer.compare.locate import FEWEST, phases
+from tcbi_infer.compare.signals import DEGREE, JOINT, reference
+from tcbi_sim.rigs import load_rig
+
+BINS = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Heat:
+    """Error over noise floor of each joint in each phase; NaN where a cell has too few samples."""
+
+    joints: tuple[str, ...]
+    phases: tuple[str, ...]
+    values: np.ndarray  # (phases, joints)
+
+
+@dataclasses.dataclass(frozen=True)
+class Curve:
+    """Error over noise floor against one condition, all joints together.
+
+    Attributes:
+      middle: (n,) of each bin, in `unit`; bins hold equally many samples.
+      error: (n,).
+    """
+
+    condition: str
+    unit: str
+    middle: np.ndarray
+    error: np.ndarray
+
+
+def joint_errors(comparison: Comparison) -> dict[str, float]:
+    """Error over noise floor of each joint, all rollouts together."""
+    joints = set(comparison.replay.layout.joint_names)
+    return {s.name: s.ratio for s in comparison.signals if s.name in joints}
+
+
+def heat(comparison: Comparison) -> Heat:
+    """Joint x phase; a phase that no joint is ever in is left out."""
+    scaled = _scaled(comparison)
+    replay = comparison.replay
+    rig = load_rig(replay.rig)
+    each = [
+        {"at any time": np.ones(scaled.shape[1:], bool), **phases(rig, m, replay.time)} for m in replay.measurements
+    ]
+    names = list(dict.fromkeys(name for masks in each for name in masks))
+    rows = []
+    for name in names:
+        mask = np.stack([masks.get(name, np.zeros(scaled.shape[1:], bool)) for masks in each]) & np.isfinite(scaled)
+        count = mask.sum(axis=(0, 1))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            row = np.sqrt(np.where(mask, scaled**2, 0.0).sum(axis=(0, 1)) / count)
+        rows.append(np.where(count >= FEWEST, row, np.nan))
+    values = np.stack(rows)
+    kept = np.isfinite(values).any(axis=1)
+    return Heat(replay.layout.joint_names, tuple(n for n, k in zip(names, kept, strict=True) if k), values[kept])
+
+
+def curves(comparison: Comparison) -> list[Curve]:
+    """Error against load, speed, slope and time; a condition that never varies is left out.
+
+    Load is how far the commanded position is ahead of the measured one, which a position servo turns into torque.
+    """
+    scaled = _scaled(comparison)
+    replay = comparison.replay
+    asked = np.stack([reference(m, replay.time) for m in replay.measurements])
+    measured = replay.measured[..., replay.layout.where(JOINT)]
+    speed = np.abs(np.gradient(asked, replay.time, axis=1)) * DEGREE
+    slope = [np.hypot(m.scenario.slope_roll, m.scenario.slope_pitch) * DEGREE for m in replay.measurements]
+    conditions = {
+        ("load: command ahead of position", "deg"): np.abs(asked * DEGREE - measured),
+        ("commanded speed", "deg/s"): speed,
+        ("slope", "deg"): np.broadcast_to(np.array(slope)[:, None, None], scaled.shape),
+        ("time in the rollout", "s"): np.broadcast_to(replay.time[None, :, None], scaled.shape),
+    }
+    found = [_curve(name, unit, values, scaled) for (name, unit), values in conditions.items()]
+    return [curve for curve in found if curve is not None]
+
+
+def _curve(condition: str, unit: str, values: np.ndarray, scaled: np.ndarray) -> Curve | None:
+    valid = np.isfinite(scaled) & np.isfinite(values)
+    x, y = values[valid], scaled[valid]
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1))) if len(x) else np.empty(0)
+    if len(edges) < 3:
+        return None
+    which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(which, minlength=len(edges) - 1)
+    enough = count >= FEWEST
+    with np.errstate(invalid="ignore", divide="ignore"):
+        middle = np.bincount(which, x, len(edges) - 1) / count
+        error = np.sqrt(np.bincount(which, y**2, len(edges) - 1) / count)
+    return Curve(condition, unit, middle[enough], error[enough]) if enough.sum() > 1 else None
+
+
+def _scaled(comparison: Comparison) -> np.ndarray:
+    """(R, T, J) joint errors over their noise floors."""
+    joints = comparison.replay.layout.where(JOINT)
+    residual = comparison.replay.measured - comparison.predicted
+    return residual[..., joints] / comparison.floor.values[joints]

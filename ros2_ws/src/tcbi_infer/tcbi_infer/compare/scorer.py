@@ -1,0 +1,145 @@
+"""Errors, bands and scores of every signal, collected while particles are simulated for a few motions at a time."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_infer.compare import task
+from tcbi_infer.compare.noise import NoiseFloor
+from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.scores import crps, predictive_band
+from tcbi_infer.compare.signals import ATTITUDE, JOINT, Layout
+from tcbi_sim.engine import SimulatedRollouts
+
+REPLICATES, RESIDUAL = "replicates", "residual"  # where a noise floor comes from
+
+
+@dataclasses.dataclass(frozen=True)
+class SignalError:
+    """The error of one signal's or statistic's prediction, root mean square over all samples.
+
+    Attributes:
+      ratio: error / noise floor.
+      coverage90: share of samples inside the predictive 90 % band.
+      crps: mean continuous ranked probability score, in the signal's unit; noise alone gives 0.56 x the noise floor.
+      floor_from: "replicates", or "residual" where no commands were repeated.
+    """
+
+    name: str
+    unit: str
+    error: float
+    noise_floor: float
+    ratio: float
+    coverage90: float
+    crps: float
+    floor_from: str
+
+
+class Scorer:
+    """Collects bands and scores while the particles are simulated for a few motions at a time."""
+
+    def __init__(self, replay: Replay, floor: NoiseFloor, predicted: np.ndarray, mean: task.Values) -> None:
+        self.replay, self.floor, self.predicted, self.mean = replay, floor, predicted, mean
+        self.low, self.high = np.full_like(predicted, np.nan), np.full_like(predicted, np.nan)
+        self.kept = replay.layout.kept(predicted.shape[1]) & np.isfinite(replay.measured)
+        self.score = np.full_like(predicted, np.nan)
+        self.observed = task.measured(replay)
+        self.floors = task.floors(self.observed, mean, replay.replicates)
+        self.inside = {name: np.full(self.observed[name].shape, np.nan) for name in self.floors}
+        self.task_score = {name: np.full(self.observed[name].shape, np.nan) for name in self.floors}
+
+    def take(self, sets: Sequence[int], rollouts: SimulatedRollouts) -> None:
+        """Simulations (N, len(sets)) of some replicate sets."""
+        channels = self.replay.channels(rollouts)
+        alive = np.isfinite(channels).all(axis=(2, 3))
+        for s, number in enumerate(sets):
+            members = list(self.replay.replicates[number].members)
+            draws = channels[alive[:, s], s]
+            if not len(draws):
+                continue
+            self.low[members], self.high[members] = predictive_band(draws, self.floor.values)
+            for r in members:
+                t, c = np.nonzero(self.kept[r])
+                self.score[r, t, c] = crps(self.replay.measured[r, t, c], draws[:, t, c], self.floor.values[c])
+        values, owners = task.predicted(self.replay, rollouts, sets)
+        for name in self.floors:
+            self._take_task(name, values[name], owners)
+
+    def _take_task(self, name: str, values: np.ndarray, owners: np.ndarray) -> None:
+        sigma, width = self.floors[name].value, values.shape[-1]
+        for i, r in enumerate(owners):
+            draws = values[:, i]
+            draws = draws[~np.isnan(draws).all(axis=-1)]
+            if not len(draws) or not np.isfinite(sigma):
+                continue
+            seen = self.observed[name][r, :width]
+            low, high = predictive_band(draws, sigma)
+            told = np.isfinite(seen) & np.isfinite(low)
+            self.inside[name][r, :width] = np.where(told, (seen >= low) & (seen <= high), np.nan)
+            self.task_score[name][r, :width] = crps(seen, draws, sigma)
+
+    def channel_errors(self) -> tuple[SignalError, ...]:
+        """The error of every channel that was measured."""
+        layout, floor = self.replay.layout, self.floor
+        ratio = ratios(layout, self.replay.measured - self.predicted, floor.values)
+        kept = self.kept & np.isfinite(self.low)
+        inside = kept & (self.replay.measured >= self.low) & (self.replay.measured <= self.high)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            coverage = inside.sum(axis=(0, 1)) / kept.sum(axis=(0, 1))
+        return tuple(
+            SignalError(
+                c.name, c.group.unit, float(ratio[i] * floor.values[i]), float(floor.values[i]), float(ratio[i]),
+                float(coverage[i]), _mean(self.score[..., i]), _source(floor.replicated(i)),
+            )
+            for i, c in enumerate(layout.channels)
+            if np.isfinite(ratio[i])
+        )  # fmt: skip
+
+    def task_errors(self, signals: bool) -> tuple[SignalError, ...]:
+        """The error of the task's signals, or of its statistics."""
+        errors = []
+        for name, floor in self.floors.items():
+            squares = (self.observed[name] - self.mean[name]) ** 2
+            if (name in task.SIGNALS) != signals or not np.isfinite(squares).any():
+                continue
+            error, sigma = float(np.sqrt(np.nanmean(squares))), floor.value
+            coverage, score = _mean(self.inside[name]), _mean(self.task_score[name])
+            errors.append(
+                SignalError(
+                    name, task.unit(name), error, sigma, error / sigma, coverage, score, _source(floor.from_replicates)
+                )
+            )
+        return tuple(errors)
+
+
+def ratios(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """(C,) root mean square error of each channel over its noise floor; NaN where nothing was measured."""
+    kept = layout.kept(residual.shape[1]) & np.isfinite(residual)
+    count = kept.sum(axis=(0, 1))
+    squares = np.where(kept, np.nan_to_num(residual) ** 2, 0.0).sum(axis=(0, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.sqrt(squares / count) / floor
+
+
+def error_over_floor(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> float:
+    """The one figure for a model: root mean square, over joints and attitude, of error over noise floor.
+
+    1 means that the model predicts the robot as well as the robot repeats itself.
+
+    Args:
+      layout: the channels.
+      residual: (R, T, C) measured less predicted.
+      floor: (C,).
+    """
+    return float(np.sqrt(np.nanmean(ratios(layout, residual, floor)[layout.where(JOINT, ATTITUDE)] ** 2)))
+
+
+def _mean(values: np.ndarray) -> float:
+    """Of what is there; NaN of nothing."""
+    there = values[np.isfinite(values)]
+    return float(there.mean()) if len(there) else float("nan")
+
+
+def _source(repeated: bool) -> str:
+    return REPLICATES if repeated else RESIDUAL

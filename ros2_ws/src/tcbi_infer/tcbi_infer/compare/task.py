@@ -1,0 +1,175 @@
+"""What the task is about, measured and predicted alike: distance and reward over time, and one figure a rollout.
+
+Signals (`distance`, `reward`) have many values in a rollout; statistics (`return`, `final_inclination`, `distance_end`,
+`contact_ratio_<foot>`) have one. What a rollout did not measure, or its task has not, is NaN.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_infer.compare.noise import from_fast_changes
+from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.replicates import Replicates
+from tcbi_policy.reward import WEIGHTS, inclination, progress, step_rewards
+from tcbi_sim.engine import SimulatedRollouts
+from tcbi_sim.measurement import Commands, Scenario
+
+DISTANCE, REWARD = "distance", "reward"
+SIGNALS = (DISTANCE, REWARD)
+UNITS = {DISTANCE: "m", REWARD: "1", "return": "1", "final_inclination": "deg", "distance_end": "m"}
+LEAST = {  # smallest noise floor credible, in the unit
+    DISTANCE: 5e-4, REWARD: 1.0, "return": 1.0, "final_inclination": 0.03, "distance_end": 5e-4
+}  # fmt: skip
+LEAST_SHARE = 0.01  # of a contact ratio
+FEWEST_ROLLOUTS = 3  # from whose scatter a statistic's floor can be estimated
+Values = dict[str, np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskFloor:
+    """Noise floor of one task signal or statistic; NaN where these rollouts cannot tell."""
+
+    value: float
+    from_replicates: bool
+
+
+def unit(name: str) -> str:
+    """Unit of a task signal or statistic."""
+    return UNITS.get(name, "share")
+
+
+def measured(replay: Replay) -> Values:
+    """name -> (R, K), what the rollouts say; K is 1 for statistics."""
+    each = []
+    for r, m in enumerate(replay.measurements):
+        values = _values(replay, r, m.commands, m.attitude, m.contact, m.position)
+        if "distance_end" not in values and np.isfinite(m.distance) and compared(replay)[r, -1]:
+            values["distance_end"] = np.array([m.distance])  # the operator's entry
+        each.append(values)
+    return _stacked(each)
+
+
+def predicted(replay: Replay, rollouts: SimulatedRollouts, sets: Sequence[int]) -> tuple[Values, np.ndarray]:
+    """What simulations of some replicate sets say.
+
+    Returns:
+      name -> (N, R', K), and the (R',) numbers of the rollouts: the members of these sets.
+    """
+    each, owners = [], []
+    length = len(replay.time)
+
+    def tail(values: np.ndarray | None, s: int) -> np.ndarray | None:
+        return None if values is None else values[:, s, -length:]
+
+    for s, number in enumerate(sets):
+        arrays = [tail(v, s) for v in (rollouts.attitude, rollouts.contact, rollouts.position)]
+        for r in replay.replicates[number].members:
+            values = _values(replay, r, replay.commands[number], *arrays)
+            each.append({k: np.where(rollouts.diverged[:, s, None], np.nan, v) for k, v in values.items()})
+            owners.append(r)
+    return _stacked(each), np.array(owners)
+
+
+def compared(replay: Replay) -> np.ndarray:
+    """(R, T) bool: which samples of each rollout are compared at all, gaps left out."""
+    return np.isfinite(replay.measured[..., 0])
+
+
+def _values(
+    replay: Replay,
+    r: int,
+    commands: Commands,
+    attitude: np.ndarray | None,
+    contact: np.ndarray | None,
+    position: np.ndarray | None,
+) -> Values:
+    """Signals and statistics of one rollout; arrays are (..., T, width), results (..., K)."""
+    scenario, good = replay.measurements[r].scenario, compared(replay)[r]
+    if not good.any():
+        return {}
+    first, last = (int(np.nonzero(good)[0][i]) for i in (0, -1))
+    values: Values = {}
+    if position is not None:
+        moved = progress(position, scenario.initial_yaw)
+        values[DISTANCE] = np.where(good, moved, np.nan)
+        values["distance_end"] = moved[..., last : last + 1]
+    if attitude is not None:
+        values["final_inclination"] = np.degrees(inclination(attitude[..., last : last + 1, :]))
+        reward = _rewards(replay.time[: last + 1], scenario, commands, attitude, position)
+        if reward is not None and good[first : last + 1].all():
+            values[REWARD], values["return"] = reward, np.nansum(reward, axis=-1, keepdims=True)
+    if contact is not None:
+        share = np.where(good[:, None], contact, np.nan)
+        ratio = np.nanmean(share, axis=-2)
+        for f, foot in enumerate(replay.measurements[r].foot_names):
+            values[f"contact_ratio_{foot}"] = ratio[..., f, None]
+    return values
+
+
+def _rewards(
+    time: np.ndarray, scenario: Scenario, commands: Commands, attitude: np.ndarray, position: np.ndarray | None
+) -> np.ndarray | None:
+    """(..., K) of each control step that ended; None where the task has no reward or needs what is missing."""
+    weights = WEIGHTS.get(scenario.task)
+    if weights is None or (weights.distance and position is None) or not len(commands.time):
+        return None
+    ticks = np.append(commands.time, commands.time[-1] + CONTROL_PERIOD_S)
+    rows = np.clip(np.searchsorted(time, ticks + 1e-6, "right") - 1, 0, len(time) - 1)
+    start = scenario.initial_joint_position
+    before: np.ndarray | float = 0.0 if start is None else np.asarray(start, float)
+    moved = None if position is None else progress(position, scenario.initial_yaw)[..., rows]
+    reward = step_rewards(scenario.task, attitude[..., rows, :], moved, commands.target, before)
+    return np.where(ticks[1:] < time[-1] + 0.5 * CONTROL_PERIOD_S, reward, np.nan)
+
+
+def _stacked(each: Sequence[Values]) -> Values:
+    """One array for each name, rollouts second to last, shorter ones filled up with NaN."""
+    names = dict.fromkeys(name for values in each for name in values)
+    result = {}
+    for name in names:
+        first = next(v[name] for v in each if name in v)
+        longest = max(v[name].shape[-1] for v in each if name in v)
+        rows = []
+        for values in each:
+            row = np.full((*first.shape[:-1], longest), np.nan)
+            if name in values:
+                row[..., : values[name].shape[-1]] = values[name]
+            rows.append(row)
+        result[name] = np.stack(rows, axis=-2)
+    return result
+
+
+def floors(observed: Values, mean: Values, replicates: Sequence[Replicates]) -> dict[str, TaskFloor]:
+    """The noise floor of each task signal and statistic.
+
+    Args:
+      observed: name -> (R, K).
+      mean: name -> (R, K) predicted.
+      replicates: which of the R rollouts repeat each other.
+    """
+    return {
+        name: _floor(values, values - mean[name], replicates, LEAST.get(name, LEAST_SHARE))
+        for name, values in observed.items()
+        if name in mean
+    }
+
+
+def _floor(values: np.ndarray, residual: np.ndarray, replicates: Sequence[Replicates], least: float) -> TaskFloor:
+    squares, freedom = 0.0, 0
+    for group in replicates:
+        repeats = values[list(group.members)]
+        full = np.isfinite(repeats).all(axis=0)
+        if len(repeats) > 1 and full.any():
+            squares += float(np.sum((repeats - repeats.mean(axis=0))[:, full] ** 2))
+            freedom += (len(repeats) - 1) * int(full.sum())
+    if freedom:
+        return TaskFloor(max(float(np.sqrt(squares / freedom)), least), True)
+    if values.shape[-1] > 1:
+        return TaskFloor(max(float(from_fast_changes(residual[..., None])[0]), least), False)
+    single = residual[np.isfinite(residual)]
+    if len(single) < FEWEST_ROLLOUTS:
+        return TaskFloor(float("nan"), False)
+    return TaskFloor(max(float(np.std(single, ddof=1)), least), False)
