@@ -86,9 +86,9 @@ def test_replay_does_not_move_a_robot_that_listens(tmp_path, capsys, peer):
 
 
 def test_collect_names_every_fault_before_it_starts_anything(capsys):
-    assert cli.main(["collect", "--task", "dance", "--n", "0", "--robot", "sim"]) == 1
+    assert cli.main(["collect", "--slope-roll", "2", "--duration", "9999", "--robot", "sim"]) == 1
     told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "task: got 'dance'" in told and "number: got 0" in told
+    assert told.count("\n") == 1 and "duration_s: got 9999" in told and "slope_roll: got 2" in told
 
 
 @pytest.mark.parametrize("command", ["collect", "recover", "replay", "import"])

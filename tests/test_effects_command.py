@@ -63,7 +63,7 @@ def test_an_effect_is_shown_with_physics_source_and_parameters(capsys):
     assert {"name", "unit", "low", "high", "prior", "nominal", "null", "description"} == set(scale)
     assert cli.main(["effects", "show", "weak_leg"]) == 0
     assert "Source: " in capsys.readouterr().out
-    assert cli.main(["effects", "show", "weak_lge"]) == 1
+    assert cli.main(["effects", "show", "weak_lge"]) == 2
     assert "did you mean 'weak_leg'" in capsys.readouterr().err
 
 
@@ -101,6 +101,6 @@ def test_ones_own_effect_is_added_removed_and_compared_like_any_other(store, cap
 
 
 def test_removing_what_is_not_there_is_one_line(tmp_path, capsys):
-    assert cli.main(["remove", "backlash", "--store", str(tmp_path)]) == 1
+    assert cli.main(["remove", "backlash", "--store", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "backlash" in error

@@ -79,17 +79,18 @@ def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
 def test_adding_what_no_diagnosis_fitted_is_refused_in_one_line(tmp_path, capsys):
     assert cli.main(["add", "backlash", "--rig", "servo_bench", "--store", str(tmp_path)]) == 1
     error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "--prior" in error
+    assert error.splitlines()[0] == "model servo_bench-v0, the newest; --model names another"
+    assert error.count("\n") == 2 and "--prior" in error
 
 
 def test_an_unknown_effect_is_refused_before_any_fit(bags, tmp_path, capsys):
-    assert cli.main(["add", "backlsh", str(bags), "--store", str(tmp_path)]) == 1
+    assert cli.main(["add", "backlsh", str(bags), "--store", str(tmp_path)]) == 2
     assert "did you mean 'backlash'" in capsys.readouterr().err
 
 
 def test_an_unknown_candidate_is_refused_instead_of_being_left_out(bags, tmp_path, capsys):
     store = ("--store", str(tmp_path))
-    assert cli.main(["diagnose", str(bags), "--effects", "backlash,command_latncy", *store]) == 1
+    assert cli.main(["diagnose", str(bags), "--effects", "backlash,command_latncy", *store]) == 2
     assert "did you mean 'command_latency'" in capsys.readouterr().err
 
 

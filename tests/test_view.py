@@ -55,5 +55,5 @@ def test_a_folder_that_is_not_there_is_named_in_one_line(tmp_path: Path):
 
 def test_an_unknown_task_is_named_with_the_known_ones(tmp_path: Path):
     done = view("--task", "forwards", "--png", str(tmp_path / "robot.png"))
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "forwards" in done.stderr and "balance" in done.stderr

@@ -9,6 +9,7 @@ from trajectory_msgs.msg import JointTrajectory
 from hexapod_driver.status import Status
 from tcbi_contract import names
 from tcbi_contract.safety import CommandRefused, ordered_target
+from tcbi_contract.wording import counted
 from tcbi_msgs.srv import ResetEpisode
 
 
@@ -69,7 +70,7 @@ def not_settable(request: ResetEpisode.Request) -> str:
     if request.slope_roll or request.slope_pitch:
         wishes.append(f"slope roll {request.slope_roll:.3f}, pitch {request.slope_pitch:.3f} rad")
     if request.blocks:
-        wishes.append(f"{len(request.blocks)} blocks")
+        wishes.append(f"{counted(len(request.blocks), 'block')}")
     if request.model:
         wishes.append(f"model {request.model}")
     return f"; not set by the driver: {', '.join(wishes)}" if wishes else ""

@@ -15,9 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from tcbi_contract.errors import TcbiError
+from tcbi_bringup.arguments import USAGE, Parser
+from tcbi_contract.errors import TcbiError, UsageError
 
-OK, FAULT, USAGE, INTERRUPTED = 0, 1, 2, 130
+OK, FAULT, INTERRUPTED = 0, 1, 130
+READER_GONE = 141  # as a shell reports a program that a closed pipe has ended
 
 _ROOM = "make room on the disk, or choose another folder (--store or --out)"
 _RIGHTS = "give yourself the right to write there, or choose another folder (--store or --out)"
@@ -66,6 +68,7 @@ GROUPS = {
 COMMANDS = (
     Command("demo", "start", "the whole loop on an emulated robot with a hidden effect"),
     Command("up", "start", "start the graph of nodes: on a simulation, an emulated robot or a real one"),
+    Command("dashboard", "start", "the whole loop in a browser"),
     Command("doctor", "start", "check environment, ports, topics and rates, and say what to do"),
     Command("collect", "record", "record rollouts of a task from the running graph, one bag each"),
     Command("import", "record", "turn a log of another format into bags"),
@@ -103,7 +106,8 @@ def overview() -> str:
         if commands:
             lines += [title, *(f"  {c.name:14} {c.summary}" for c in commands), ""]
     lines += ["  python ARGS    the interpreter of this environment", ""]
-    lines += ["Exit status: 0 done, 1 the input or the machine is at fault, 2 wrong usage."]
+    lines += ["  --version      of tcbi, and of what it stands on (with --json)", ""]
+    lines += ["Exit status: 0 done, 1 the input or the machine is at fault, 2 wrong usage or an unknown name."]
     return "\n".join(lines)
 
 
@@ -122,13 +126,13 @@ def main(argv: list[str] | None = None) -> int:
         return status
     except TcbiError as e:
         print(f"tcbi: {' '.join(str(e).split())}", file=sys.stderr)
-        return FAULT
+        return USAGE if isinstance(e, UsageError) else FAULT
     except KeyboardInterrupt:
         print("tcbi: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has gone; nothing more to flush
-        return OK
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more to flush
+        return READER_GONE
     except OSError as e:
         if e.errno not in MACHINE_FAULTS:
             raise
@@ -144,6 +148,8 @@ def dispatch(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         print(overview())
         return OK if words else USAGE
+    if words[0] == "--version":
+        return version(words[1:])
     command = find(words[0])
     if command is None:
         print(f"tcbi: {unknown(words[0])}", file=sys.stderr)
@@ -182,11 +188,28 @@ def store_of(args: argparse.Namespace) -> Iterator[None]:
 
 def parser_for(command: Command, module: ModuleType) -> argparse.ArgumentParser:
     """The parser of one command, with its summary as description."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=f"./tcbi {command.name}", description=module.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     module.add_arguments(parser)
     return parser
+
+
+def version(options: list[str]) -> int:
+    """`./tcbi --version`."""
+    parser = Parser(prog="./tcbi --version", description="Version, and with --json that of what tcbi stands on.")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    as_json = parser.parse_args(options).json
+    from tcbi_bringup.versions import versions
+
+    found = versions()
+    if as_json:
+        from tcbi_bringup.commands import console
+
+        console.emit(found)
+    else:
+        print(f"tcbi {found['tcbi']}" + (f" (commit {found['commit']})" if found["commit"] else ""))
+    return OK
 
 
 def unknown(name: str) -> str:

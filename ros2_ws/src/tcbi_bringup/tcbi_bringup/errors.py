@@ -1,6 +1,6 @@
 """Errors of tcbi_bringup."""
 
-from tcbi_contract.errors import TcbiError
+from tcbi_contract.errors import TcbiError, UsageError
 
 
 class BringupError(TcbiError):
@@ -9,6 +9,10 @@ class BringupError(TcbiError):
 
 class UnknownExecutableError(BringupError):
     """A package or an executable that the workspace does not have."""
+
+
+class WrongCallError(BringupError, UsageError):
+    """Words of a command line that do not go together, or name what is not there."""
 
 
 class LaunchError(BringupError):

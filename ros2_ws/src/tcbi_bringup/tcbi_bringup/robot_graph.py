@@ -8,6 +8,7 @@ from pathlib import Path
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_policy.artefact import find_policy
+from tcbi_sim.store import ModelStore
 from tcbi_sim.tasks import find_task
 
 SIM, EMULATED = "sim", "emulated"
@@ -92,6 +93,11 @@ def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
         node("hexapod_driver", "driver_node", parameters={"port": str(port)}),
         node("tcbi_bringup", "experimenter_node", parameters={"socket": str(socket)}, essential=False),
     ]
+
+
+def newest_model(store: Path) -> str:
+    """The model version that a simulation takes where none is named."""
+    return ModelStore(store).versions("hexapod")[-1]
 
 
 def emulated_port(folder: Path) -> Path:

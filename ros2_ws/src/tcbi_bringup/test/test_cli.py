@@ -2,14 +2,18 @@
 
 import errno
 import importlib
+import json
 import os
 import pkgutil
+import subprocess
+import sys
 import types
 
 import pytest
 
 from tcbi_bringup import cli, commands
 from tcbi_contract.errors import TcbiError
+from tcbi_sim.errors import UnknownNameError
 
 
 @pytest.fixture
@@ -67,7 +71,7 @@ def test_no_command_at_all_shows_the_overview_as_wrong_usage(capsys):
 def test_wrong_options_are_wrong_usage(command, capsys):
     command(lambda args: 0)
     assert cli.main(["compare", "--size", "big"]) == 2
-    assert "invalid int value" in capsys.readouterr().err
+    assert "--size: invalid int value" in capsys.readouterr().err
 
 
 def test_an_error_of_the_user_is_one_line_and_status_1(command, capsys):
@@ -96,6 +100,64 @@ def test_an_interrupt_is_status_130_without_a_traceback(command, capsys):
     command(interrupt)
     assert cli.main(["compare"]) == 130
     assert capsys.readouterr().err == "tcbi: interrupted\n"
+
+
+def test_a_name_that_does_not_exist_is_wrong_usage(command, capsys):
+    def run(_):
+        raise UnknownNameError("effect", "backlsh", ("backlash",))
+
+    command(run)
+    assert cli.main(["compare"]) == 2
+    assert capsys.readouterr().err == "tcbi: unknown effect 'backlsh'; did you mean 'backlash'?; known: backlash\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("replay --rate 0 bag", "--rate: got '0', allowed is a number, more than 0"),
+        ("replay --rate nan bag", "--rate: got 'nan'"),
+        ("retrain --task foo", "--task: invalid choice: 'foo' (choose from "),
+        ("retrain --task balance --budget -1", "--budget: got '-1', allowed is a number, more than 0"),
+        ("train --task balance --steps 1.5", "--steps: got '1.5', allowed is a whole number, 1 or more"),
+        ("collect --n 0", "--n: got '0', allowed is a whole number, 1 or more"),
+        ("policy balance --measure --rollouts 0", "--rollouts: got '0'"),
+        ("add backlash --diagnosis nosuch.json", "--diagnosis: got 'nosuch.json', allowed is a file"),
+        ("bench nosuch", "unknown benchmark 'nosuch'"),
+        ("doctor --sensor-port x", "--sensor-port: got it without --port"),
+    ],
+)
+def test_a_wrong_value_is_one_line_that_names_it_and_what_is_allowed(words, said, capsys):
+    assert cli.main(words.split()) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert captured.err.startswith("tcbi: ") and said in captured.err
+
+
+def test_the_tasks_of_the_command_line_are_those_that_there_are():
+    from tcbi_bringup.arguments import TASKS
+    from tcbi_sim.tasks import TASKS as EXISTING
+
+    assert tuple(EXISTING) == TASKS
+
+
+@pytest.mark.parametrize("words", [("--help",), ("effects",), ("effects", "--json")])
+def test_a_reader_that_has_gone_ends_a_command_quietly(words):
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-P", "-m", "tcbi_bringup.cli", *words]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=100, check=False)
+    os.close(writer)
+    assert (done.stderr, done.returncode) == ("", cli.READER_GONE)
+
+
+def test_the_version_is_one_line_and_with_json_names_what_it_stands_on(capsys):
+    assert cli.main(["--version"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("tcbi ") and text.count("\n") == 1
+    assert cli.main(["--version", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"tcbi", "commit", "python", "rclpy", "mujoco"} <= set(found)
+    assert text.split()[1] == str(found["tcbi"]) and str(found["mujoco"])[0].isdigit()
 
 
 def test_the_status_of_a_command_is_passed_on(command):

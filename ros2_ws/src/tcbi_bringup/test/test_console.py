@@ -69,14 +69,16 @@ def test_a_table_shows_four_digits_and_a_dash_for_nothing(capsys):
 
 
 def test_progress_and_notes_keep_away_from_standard_output(capsys, monkeypatch):
-    monkeypatch.setattr(console, "LINE_PERIOD_S", 0.0)
-    with console.progress("simulating", total=4) as advance:
+    monkeypatch.setattr("tcbi_bringup.progress.LINE_PERIOD_S", 0.0)
+    with console.progress("recording", total=4, unit="rollouts") as advance:
         advance()
         advance(done=3, note="generation 2")
     console.note("done")
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert "simulating: 3/4" in captured.err and "generation 2" in captured.err and "done" in captured.err
+    assert (
+        "recording: 3 of 4 rollouts, 0 s" in captured.err and "generation 2" in captured.err and "done" in captured.err
+    )
 
 
 def test_progress_ends_when_the_work_fails(capsys):

@@ -8,6 +8,10 @@ class TcbiError(Exception):
     """
 
 
+class UsageError(TcbiError):
+    """What was asked for does not exist: a wrong name on the command line, which exits with status 2."""
+
+
 def describe(what: str, value: object, allowed: str, remedy: str = "") -> str:
     """One line: what is wrong, the value seen, what is allowed, what to do."""
     text = f"{what}: got {value!r}, allowed is {allowed}"

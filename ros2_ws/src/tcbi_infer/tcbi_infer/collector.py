@@ -16,6 +16,7 @@ from std_srvs.srv import SetBool
 
 from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
+from tcbi_contract.wording import counted
 from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.bags.note import write_note
 from tcbi_infer.collection import Request, check, next_tick, rollout_id, scenario_of, travelled
@@ -89,7 +90,7 @@ class Collector:
         bags: list[Path] = []
         try:
             await self._collect(goal, bags)
-            result.success, result.message = True, f"{len(bags)} rollouts recorded"
+            result.success, result.message = True, f"{counted(len(bags), 'rollout')} recorded"
             goal.succeed()
         except CancelledError as error:
             result.message = str(error)

@@ -23,6 +23,7 @@ from std_msgs.msg import Float64, String
 from tcbi_contract import messages, names
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
+from tcbi_contract.wording import counted
 from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.bags.schemas import stamp_of
 from tcbi_infer.collector import Collector
@@ -151,7 +152,7 @@ class RecorderNode(Node):
 
     def _on_lost(self, event: Any) -> None:
         self.lost += event.total_count_change
-        self.get_logger().error(f"{event.total_count_change} messages were lost on their way to the recorder")
+        self.get_logger().error(f"{counted(event.total_count_change, 'message')} lost on the way to the recorder")
 
     def _on_policy(self, message: String) -> None:
         self.policy_id = message.data
@@ -240,7 +241,7 @@ class RecorderNode(Node):
         status = DiagnosticStatus(name="recorder_node: recording", hardware_id=str(self.folder.path))
         status.level, status.message = DiagnosticStatus.OK, f"recording {rollout.rollout_id}" if rollout else "ready"
         if self.lost:
-            status.level, status.message = DiagnosticStatus.WARN, f"{self.lost} messages were lost"
+            status.level, status.message = DiagnosticStatus.WARN, f"{counted(self.lost, 'message')} lost"
         if self.fault:
             status.level, status.message = DiagnosticStatus.ERROR, self.fault
         facts = {

@@ -16,6 +16,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from tcbi_contract import messages, names
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
+from tcbi_contract.wording import counted
 from tcbi_infer.errors import BagError
 from tcbi_infer.interfaces import STREAMS
 from tcbi_infer.player import Cue, schedule
@@ -110,7 +111,7 @@ class ReplayNode(Node):
             self._clock_publisher.publish(ClockMessage(clock=messages.to_stamp(stamp)))
 
     def _end(self) -> None:
-        self.get_logger().info(f"played {self.published} messages")
+        self.get_logger().info(f"played {counted(self.published, 'message')}")
         if not self.values.loop:
             self.finished, self._ended_at = True, time.monotonic()
             return

@@ -148,7 +148,7 @@ def test_messages_that_overtook_each_other_are_sorted(tmp_path):
     back = read_measurement(written(tmp_path, joint_rows(stamps)))
     assert np.all(np.diff(back.time) > 0) and len(back.time) == 100
     assert back.joint_position[40, 0] == 41.0
-    only_note(back, "1 samples arrived out of order")
+    only_note(back, "1 sample arrived out of order")
 
 
 def test_where_the_clock_was_set_back_the_longest_stretch_is_used(tmp_path):
@@ -162,7 +162,7 @@ def test_repeated_stamps_count_once(tmp_path):
     stamps = [(k // 2) * 0.02 for k in range(100)]
     back = read_measurement(written(tmp_path, joint_rows(stamps)))
     assert len(back.time) == 50 and back.joint_position[3, 0] == 6.0
-    only_note(back, "50 samples repeat the stamp")
+    only_note(back, "50 samples with the stamp of another")
 
 
 def test_without_stamps_the_recording_time_is_used(tmp_path):

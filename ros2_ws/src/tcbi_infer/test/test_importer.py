@@ -74,7 +74,7 @@ def test_repeated_and_backward_times_are_put_in_order_and_said(tmp_path):
     np.testing.assert_array_equal(m.time, [0.0, 0.01, 0.02, 0.03, 0.04])
     np.testing.assert_array_equal(m.joint_position[:, 0], [0.0, 0.01, 0.02, 0.03, 0.04])
     text = " ".join(m.notes)
-    assert "out of order" in text and "repeat the stamp" in text
+    assert "out of order" in text and "with the stamp of another" in text
 
 
 CSV_MAPPING = """

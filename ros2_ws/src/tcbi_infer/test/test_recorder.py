@@ -191,7 +191,7 @@ def test_a_killed_recorders_rollout_is_repaired_by_the_next_one(folder, recorder
     recorder.flush()
     folder.close()  # what the kernel does when the process dies
     with RecordingFolder(folder.path) as again:
-        assert len(again.repaired) == 1 and "416" not in again.repaired[0] and "now in walk_1" in again.repaired[0]
+        assert len(again.repaired) == 1 and "416" not in again.repaired[0] and "in walk_1" in again.repaired[0]
     assert len(read_measurement(folder.path / "walk_1").time) == len(feed.case.time)
 
 

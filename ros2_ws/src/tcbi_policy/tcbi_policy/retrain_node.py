@@ -122,13 +122,14 @@ class RetrainNode(Node):
     def _on_event(self, handle: ServerGoalHandle, event: Event) -> None:
         if event["event"] in ("progress", "done"):
             steps, mean_return = int(event["steps"]), float(event["mean_return"])
-            remaining_s = float(event.get("remaining_s", 0.0))
+            known = event.get("remaining_s", 0.0)
+            remaining_s = math.nan if known is None else float(known)
             handle.publish_feedback(Retrain.Feedback(steps=steps, mean_return=mean_return, remaining_s=remaining_s))
             self._state = {
                 "state": "training",
                 "steps": steps,
                 "mean return": f"{mean_return:.0f}",
-                "remaining (s)": f"{remaining_s:.0f}",
+                "remaining (s)": "not known yet" if known is None else f"{remaining_s:.0f}",
             }
         elif event["event"] in ("resumed", "restarted"):
             self.get_logger().warning(f"training {event['event']}: {event.get('reason', 'from its last checkpoint')}")

@@ -4,7 +4,8 @@
 
 The folder holds `run.json` (see runs.py), and after a while `checkpoint.safetensors` and `policy.safetensors` with its
 card. Standard output carries one JSON object a line, each with an `event`: `resumed`, `imitation`, `progress` (steps,
-mean_return, remaining_s), `evaluation` (on fixed seeds), `done`, and, where there is a rival, `comparison`.
+total_steps, share, mean_return, elapsed_s, remaining_s, null until known), `evaluation` (on fixed seeds), `done`, and,
+where there is a rival, `comparing` and `comparison`.
 
 Every set of episodes starts from a seed made of the run's seed and its number, and a checkpoint is written between
 sets: so PPO gives the same weights whether it was killed or not, on the same machine and library versions.
@@ -103,7 +104,7 @@ class Training:
         self.algorithm = make_algorithm(config, HexapodVecEnv(self.environment, config.reward_scale))
         self.best: Mlp = self.present()
         self._began, self._began_cpu = time.monotonic(), time.process_time()
-        self._resumed_at = 0
+        self._first_set: tuple[float, int] | None = None  # elapsed s and steps where this life began to train
         if start is not None:
             from_mlp(self.algorithm, start.mlp)
             self.best = self.present()
@@ -174,14 +175,32 @@ class Training:
 
     def progress(self) -> None:
         """Say how far the run is."""
-        done = self.state.steps / self.config.steps
-        remaining = (1 - done) * self.state.elapsed / done if done > 0 else float("nan")
-        if self.config.budget_s > 0:
-            remaining = np.nanmin([remaining, self.config.budget_s - self.state.elapsed])
         last = self.state.curve[-1]["mean_return"] if self.state.curve else float("nan")
         steps = {"steps": self.state.steps, "total_steps": self.config.steps, "mean_return": last}
-        times = {"elapsed_s": self.state.elapsed, "remaining_s": max(0.0, float(remaining))}
+        times = {"share": self._share(), "elapsed_s": self.state.elapsed, "remaining_s": self._remaining()}
         self._report({"event": "progress", **steps, **times})
+
+    def _share(self) -> float:
+        """Of the steps or of the budget, whichever ends the training first, 0 to 1."""
+        shares = [self.state.steps / self.config.steps]
+        if self.config.budget_s > 0:
+            shares.append(self.state.elapsed / self.config.budget_s)
+        return min(1.0, max(shares))
+
+    def _remaining(self) -> float | None:
+        """Seconds of training that are left: at the speed of this life's sets, and at most the budget's rest.
+
+        None before the first set is done: the start-up, the copying of a gait and an earlier life tell no speed.
+        """
+        elapsed, steps = self.state.elapsed, self.state.steps
+        self._first_set = self._first_set or (elapsed, steps)
+        began, before = self._first_set
+        limits = []
+        if steps > before:
+            limits.append((elapsed - began) * (self.config.steps - steps) / (steps - before))
+        if self.config.budget_s > 0:
+            limits.append(self.config.budget_s - elapsed)
+        return max(0.0, min(limits)) if limits else None
 
     def _imitate(self) -> None:
         cycle = CYCLES[self.config.imitate]
@@ -285,6 +304,7 @@ def train_run(folder: Path, report: Report) -> None:
     if rival is None:
         return
     conditions = draw_conditions(model, run.config.task, run.pairs, ACCEPTANCE_SEED + run.config.seed)
+    report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
     timing = (run.config.timestep, run.config.threads)
     comparison = compare_paired(
         evaluate(rival, model, conditions, *timing), evaluate(policy, model, conditions, *timing)

@@ -63,6 +63,27 @@ def test_a_killed_run_goes_on_to_the_same_weights(tmp_path: Path) -> None:
     assert [p["steps"] for p in resumed.card.curve] == [p["steps"] for p in whole.card.curve]
 
 
+def progress_events(folder: Path, config: TrainingConfig, moments: list[tuple[float, int]]) -> list[dict[str, Any]]:
+    """What a run tells at moments (elapsed s, steps)."""
+    told: list[dict[str, Any]] = []
+    training = Training(folder, config, MODEL, report=told.append)
+    for training.state.elapsed, training.state.steps in moments:
+        training.progress()
+    return told
+
+
+def test_the_remaining_time_leaves_out_the_start_up_and_is_unknown_before_the_first_set(tmp_path: Path) -> None:
+    told = progress_events(tmp_path, TINY, [(100.0, 0), (110.0, 120)])
+    assert [event["remaining_s"] for event in told] == [None, pytest.approx(30.0)]
+    assert [event["share"] for event in told] == [0.0, 0.25]
+
+
+def test_a_budget_bounds_the_remaining_time(tmp_path: Path) -> None:
+    told = progress_events(tmp_path, dataclasses.replace(TINY, budget_s=20.0), [(5.0, 0), (15.0, 12)])
+    assert [event["remaining_s"] for event in told] == [pytest.approx(15.0), pytest.approx(5.0)]
+    assert told[-1]["share"] == 0.75
+
+
 def test_training_changes_the_policy_and_the_card_tells_how(tmp_path: Path) -> None:
     policy = load_policy(train(tmp_path).path or Path())
     card = policy.card

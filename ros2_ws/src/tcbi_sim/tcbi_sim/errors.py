@@ -2,7 +2,7 @@
 
 import traceback
 
-from tcbi_contract.errors import TcbiError
+from tcbi_contract.errors import TcbiError, UsageError
 
 
 class SimError(TcbiError):
@@ -23,7 +23,19 @@ class EffectError(SimError):
         )
 
 
-class UnknownNameError(SimError):
+class UnknownSiteError(SimError, UsageError):
+    """A place that an effect does not have on this rig."""
+
+    def __init__(self, effect: str, site: str, sites: tuple[str, ...]):
+        if tuple(sites) == ("",):
+            text = f"got {effect}:{site}, but this effect has no choice of place; write {effect}"
+        else:
+            got = f"place {site!r}" if site else "no place"
+            text = f"effect {effect!r}: got {got}, allowed is one of {', '.join(sites)}; write {effect}:{sites[0]}"
+        super().__init__(text)
+
+
+class UnknownNameError(SimError, UsageError):
     """A name that is not in a registry, with the nearest ones that are."""
 
     def __init__(self, what: str, name: str, known: "list[str] | tuple[str, ...]"):

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tcbi_bringup.arguments import existing_file
 from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_bags(parser, " to fit it to", least=0)
     console.add_model(parser, "the parent version")
     parser.add_argument("--rig", default="hexapod", help="whose newest version, without bags (default: hexapod)")
-    parser.add_argument("--diagnosis", type=Path, metavar="FILE", help="what `diagnose --json` wrote")
+    parser.add_argument("--diagnosis", type=existing_file, metavar="FILE", help="what `diagnose --json` wrote")
     parser.add_argument("--prior", action="store_true", help="keep the parameters as wide as their prior")
     console.add_report(parser)
     console.add_store(parser)
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 
     store = ModelStore(args.store)
     measurements = read_measurements(args.bags) if args.bags else []
-    model = store.load(args.model, measurements[0].rig if measurements else args.rig)
+    model = console.load_model(store, args.model, measurements[0].rig if measurements else args.rig)
     child = model.with_effect(args.effect)  # a wrong name is told before a fit, not after it
     if not args.prior:
         child = _fitted(args, model, measurements, store.folder("runs"))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tcbi_bringup.commands import console
 from tcbi_bringup.commands.test import checkout
-from tcbi_bringup.errors import BringupError
+from tcbi_bringup.errors import BringupError, WrongCallError
 
 SUMMARY = "Measure the product and print each figure beside its target (docs/benchmarks.md)."
 
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         console.emit({"benchmarks": list(scripts)}) if args.json else print("\n".join(scripts))
         return 0
     if args.name not in scripts:
-        raise BringupError(f"unknown benchmark {args.name!r}; there are {', '.join(scripts)}")
+        raise WrongCallError(f"unknown benchmark {args.name!r}; there are {', '.join(scripts)}")
     result = json.loads(_output(scripts[args.name], args.quick))
     if args.json:
         console.emit(result)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
 
 SUMMARY = "Record rollouts of a task, one bag each, from the running graph or from one that is started for it."
@@ -19,10 +20,10 @@ QUIET_S = 3.0  # of these before it is said what is waited for
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to record, how often, from which robot."""
-    parser.add_argument("--task", default="balance", help="balance or forward (default: balance)")
-    parser.add_argument("--n", type=int, default=1, dest="number", help="number of rollouts (default: 1)")
+    console.add_task(parser, default="balance")
+    parser.add_argument("--n", type=at_least(1), default=1, dest="number", help="number of rollouts (default: 1)")
     parser.add_argument(
-        "--seed", type=int, default=0, help="slopes, blocks and postures are drawn from it (default: 0)"
+        "--seed", type=at_least(0), default=0, help="slopes, blocks and postures are drawn from it (default: 0)"
     )
     parser.add_argument(
         "--robot",
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         help="a .safetensors file, a policy of the store, gait:NAME, or none; default: the one that is loaded",
     )
-    parser.add_argument("--duration", type=float, default=0.0, metavar="S", help="default: the task's own")
+    parser.add_argument("--duration", type=at_least(0.0), default=0.0, metavar="S", help="default: the task's own")
     parser.add_argument(
         "--slope-roll", type=float, nargs="+", default=[], metavar="RAD", help="one a rollout; else drawn"
     )
@@ -84,7 +85,10 @@ def run(args: argparse.Namespace) -> int:
     )
     check(request)
     domain = present_domain()
-    with _graph(args, domain) as check_graph, console.progress("recording", total=args.number) as advance:
+    with (
+        _graph(args, domain) as check_graph,
+        console.progress("recording", total=args.number, unit="rollouts") as advance,
+    ):
         result, succeeded = _ask(args, domain, request, advance, check_graph)
     if args.json:
         console.emit({"success": succeeded, "message": result.message, "bags": list(result.bags)})
@@ -107,7 +111,14 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
     from tcbi_bringup.domain_lock import hold_domain, refuse_second_graph
     from tcbi_bringup.graph_monitor import GraphMonitor
     from tcbi_bringup.launcher import Graph
-    from tcbi_bringup.robot_graph import GraphOptions, companion_processes, emulated_port, robot_processes
+    from tcbi_bringup.robot_graph import (
+        SIM,
+        GraphOptions,
+        companion_processes,
+        emulated_port,
+        newest_model,
+        robot_processes,
+    )
 
     options = GraphOptions(
         robot=args.robot,
@@ -129,6 +140,8 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
     ):
         with GraphMonitor(domain, options.namespace) as monitor:
             refuse_second_graph(monitor, domain, options.namespace)
+        if args.robot == SIM:
+            console.note_model(args.model, newest_model(options.store))
         console.note(f"starting {args.robot}; logs in {graph.log_dir}")
         for process in robot_processes(options, Path(folder)):
             graph.start(process)

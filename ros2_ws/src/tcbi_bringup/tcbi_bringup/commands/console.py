@@ -6,7 +6,7 @@
         console.add_store(parser)                      # --store FOLDER, or None, as ModelStore takes it
 
     def run(args) -> int:
-        with console.progress("simulating", total=50) as advance:   # bar with ETA, or lines, on stderr
+        with console.progress("recording", total=8, unit="rollouts") as advance:   # on stderr, see progress.py
             for ... : advance(1)                       # or advance(done=12), advance(note="generation 3")
         console.note("read 3 bags")                    # a line for people on standard error
         if args.json:
@@ -24,12 +24,16 @@ import json
 import math
 import os
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-LINE_PERIOD_S = 10.0  # between two lines of progress where standard error is no terminal
+from tcbi_bringup.arguments import TASKS
+from tcbi_bringup.progress import progress as progress
+
+if TYPE_CHECKING:
+    from tcbi_sim.model import Model
+    from tcbi_sim.store import ModelStore
 
 
 def add_examples(parser: argparse.ArgumentParser, *examples: str) -> None:
@@ -62,6 +66,25 @@ def add_bags(parser: argparse.ArgumentParser, use: str = "", least: int = 1) -> 
 def add_model(parser: argparse.ArgumentParser, use: str = "model version") -> None:
     """`--model VERSION`."""
     parser.add_argument("--model", default="latest", metavar="VERSION", help=f"{use} (default: the newest)")
+
+
+def add_task(parser: argparse.ArgumentParser, use: str = "", default: str = "", required: bool = False) -> None:
+    """`--task NAME`."""
+    text = f"balance or forward{use}" + (f" (default: {default})" if default else "")
+    parser.add_argument("--task", choices=TASKS, default=default, required=required, metavar="TASK", help=text)
+
+
+def load_model(store: "ModelStore", version: str, rig: str = "hexapod") -> "Model":
+    """A model version; where none was named, which one is the newest is said on standard error."""
+    model = store.load(version, rig)
+    note_model(version, model.version)
+    return model
+
+
+def note_model(asked: str, used: str) -> None:
+    """Say which model version is used, unless it was asked for by its name."""
+    if asked != used:
+        note(f"model {used}, the newest; --model names another")
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
@@ -151,7 +174,10 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
     for row in rows:
         grid.add_row(*(_cell(value) for value in row))
     width = None if sys.stdout.isatty() else 120
-    rich.console.Console(width=width, highlight=False, markup=False).print(grid)
+    printer = rich.console.Console(width=width, highlight=False, markup=False)
+    with printer.capture() as text:
+        printer.print(grid)
+    print(text.get(), end="")  # not by rich, which makes an error of a reader that has gone
 
 
 def _is_number(value: Any) -> bool:
@@ -163,80 +189,3 @@ def _cell(value: Any) -> str:
     if value is None:
         return "–"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-@contextlib.contextmanager
-def progress(text: str, total: float | None = None) -> Iterator[Callable[..., None]]:
-    """Progress of one piece of work on standard error: a bar with the time left, or plain lines if no terminal.
-
-    Args:
-      text: what is being done.
-      total: number of steps, None while unknown.
-
-    Yields: `advance(steps=1, *, done=None, total=None, note=None)`; `done` sets the count instead of adding to it.
-    """
-    reporter = _Bar(text, total) if sys.stderr.isatty() else _Lines(text, total)
-    try:
-        yield reporter.advance
-    finally:
-        reporter.close()
-
-
-class _Bar:
-    def __init__(self, text: str, total: float | None) -> None:
-        import rich.console
-        from rich import progress as bars
-
-        self._text = text
-        self._progress = bars.Progress(
-            bars.TextColumn("{task.description}"),
-            bars.BarColumn(bar_width=30),
-            bars.MofNCompleteColumn(),
-            bars.TimeElapsedColumn(),
-            bars.TextColumn("left"),
-            bars.TimeRemainingColumn(),
-            console=rich.console.Console(stderr=True),
-            transient=True,
-        )
-        self._task = self._progress.add_task(text, total=total)
-        self._progress.start()
-
-    def advance(
-        self, steps: float = 1, *, done: float | None = None, total: float | None = None, note: str | None = None
-    ) -> None:
-        changes: dict[str, Any] = {"completed": done} if done is not None else {"advance": steps}
-        if total is not None:
-            changes["total"] = total
-        if note is not None:
-            changes["description"] = f"{self._text}: {note}"
-        self._progress.update(self._task, **changes)
-
-    def close(self) -> None:
-        self._progress.stop()
-
-
-class _Lines:
-    def __init__(self, text: str, total: float | None) -> None:
-        self._text, self._total, self._done, self._note = text, total, 0.0, ""
-        self._began = self._shown = time.monotonic()
-
-    def advance(
-        self, steps: float = 1, *, done: float | None = None, total: float | None = None, note: str | None = None
-    ) -> None:
-        self._done = done if done is not None else self._done + steps
-        self._total = total if total is not None else self._total
-        self._note = note if note is not None else self._note
-        if time.monotonic() - self._shown >= LINE_PERIOD_S:
-            self._show()
-
-    def _show(self) -> None:
-        self._shown = time.monotonic()
-        elapsed = self._shown - self._began
-        words = [f"{self._text}: {self._done:g}" + (f"/{self._total:g}" if self._total else ""), f"{elapsed:.0f} s"]
-        if self._total and self._done:
-            words.append(f"{max(0.0, elapsed * (self._total / self._done - 1)):.0f} s left")
-        note(", ".join(words + ([self._note] if self._note else [])))
-
-    def close(self) -> None:
-        if self._shown > self._began:
-            self._show()

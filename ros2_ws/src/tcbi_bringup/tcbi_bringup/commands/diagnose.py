@@ -5,7 +5,9 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
+from tcbi_contract.wording import counted, with_unit
 
 if TYPE_CHECKING:
     from tcbi_infer.diagnose import Diagnosis
@@ -24,12 +26,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_bags(parser)
     console.add_model(parser)
     parser.add_argument("--effects", help="comma-separated candidates (default: the whole library)")
-    parser.add_argument("--refine", type=int, default=3, help="candidates that get a full fit (default: 3)")
+    parser.add_argument("--refine", type=at_least(0), default=3, help="candidates that get a full fit (default: 3)")
     parser.add_argument(
         "--quick", action="store_true", help="a first answer from few motions: coarse steps, no single joints, two fits"
     )
     console.add_report(parser)
-    parser.add_argument("--seed", type=int, default=0, help="of the split and of the simulated null data (default: 0)")
+    parser.add_argument(
+        "--seed", type=at_least(0), default=0, help="of the split and of the simulated null data (default: 0)"
+    )
     console.add_store(parser)
     console.add_json(parser)
 
@@ -45,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
     measurements = read_measurements(args.bags)
     store = ModelStore(args.store)
-    model = store.load(args.model, measurements[0].rig)
+    model = console.load_model(store, args.model, measurements[0].rig)
     uses = find_candidates(model, args.effects.split(",")) if args.effects else None
     with console.progress("diagnosing", total=100) as advance:
         diagnosis = diagnose(
@@ -56,7 +60,9 @@ def run(args: argparse.Namespace) -> int:
             progress=lambda stage, share: advance(done=round(100 * share), note=stage),
         )
     saved = remember(diagnosis, store.folder("runs"))
-    report = Report("What does the model lack?", f"Model {model.version}, {len(diagnosis.rollouts)} rollouts.")
+    report = Report(
+        "What does the model lack?", f"Model {model.version}, {counted(len(diagnosis.rollouts), 'rollout')}."
+    )
     add_diagnosis(report, diagnosis)
     path = report.write(args.report or saved.with_suffix(".html"))
     if args.json:
@@ -67,18 +73,22 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(d: "Diagnosis", path: Path) -> None:
+    from tcbi_infer.diagnose import detectable
+
     for finding in d.guards:
         print(f"note: {finding}")
     head = ["effect", "held-out gain", "s.e.", "gain / s.e.", "error before", "after", "size (90 % interval)"]
     rows = []
     for e in d.ranking[:10]:
         sizes = "; ".join(
-            f"{p.name.rpartition('.')[2]} {p.value:.3g} ({p.low90:.3g} to {p.high90:.3g}) {p.unit.removeprefix('1')}"
+            with_unit(f"{p.name.rpartition('.')[2]} {p.value:.3g} ({p.low90:.3g} to {p.high90:.3g})", p.unit)
             for p in e.parameters
         )
         after = e.error_after if e.refined else None
         rows.append([e.use, e.elpd_gain, e.elpd_se, e.statistic, e.error_before, after, sizes or "screened only"])
     console.table(f"{d.model}: candidates, best first", head, rows)
+    if d.detectable:
+        console.table(detectable.TITLE, detectable.HEAD, detectable.rows(d.detectable))
     print(f"{d.verdict}: {d.statement}")
     for claim in d.claims:
         print(f"  {claim}")

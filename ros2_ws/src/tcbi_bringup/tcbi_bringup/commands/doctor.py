@@ -3,6 +3,7 @@
 import argparse
 
 from tcbi_bringup.commands import console
+from tcbi_contract.wording import counted
 
 SUMMARY = "Check environment, versions, build, disk, rendering, ports, and the topics and rates of a running graph."
 
@@ -32,11 +33,11 @@ def run(args: argparse.Namespace) -> int:
     """All checks; 1 if there is a fault."""
     from tcbi_bringup.doctor import FAULT, WARNING, environment_checks, port_checks, robot_checks
     from tcbi_bringup.domain_lock import present_domain
-    from tcbi_bringup.errors import LaunchError
+    from tcbi_bringup.errors import WrongCallError
     from tcbi_bringup.graph_check import graph_checks
 
     if args.sensor_port and not args.port:
-        raise LaunchError("--sensor-port: got it without --port; give the servo bus's port with --port")
+        raise WrongCallError("--sensor-port: got it without --port; give the servo bus's port with --port")
     checks = [*environment_checks(console.store_folder(args.store))]
     checks += robot_checks(args.port, args.sensor_port, args.calibration) if args.port else port_checks()
     if not args.no_graph and not any(c.name in ("interfaces", "domain") and c.status == FAULT for c in checks):
@@ -50,5 +51,5 @@ def run(args: argparse.Namespace) -> int:
         print(f"{check.status:8} {check.name}: {check.found}")
         if check.remedy:
             print(f"{'':8}   -> {check.remedy}")
-    print(f"{faults} faults, {warnings} warnings")
+    print(f"{counted(faults, 'fault')}, {counted(warnings, 'warning')}")
     return 1 if faults else 0

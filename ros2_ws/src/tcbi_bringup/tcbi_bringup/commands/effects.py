@@ -5,7 +5,9 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tcbi_bringup.arguments import USAGE
 from tcbi_bringup.commands import console
+from tcbi_contract.wording import counted
 
 if TYPE_CHECKING:
     from tcbi_sim.effect import Effect
@@ -15,7 +17,6 @@ if TYPE_CHECKING:
 
 SUMMARY = "List the library of physical effects, show one, or check an effect of your own."
 WIDTH = 100  # characters of a line of text
-USAGE = 2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -125,7 +126,7 @@ def _tell(check: "Check") -> None:
     for rig, why in check.unsuited.items():
         print(f"not for {rig}: {why}")
     if check.faults:
-        print(f"{len(check.faults)} fault{'s' if len(check.faults) != 1 else ''}")
+        print(counted(len(check.faults), "fault"))
     elif effects_folder().resolve() != check.path.resolve().parent:
         print(f"fit for use; to use it, copy it to {effects_folder()}, or set TCBI_EFFECTS to its folder")
     else:

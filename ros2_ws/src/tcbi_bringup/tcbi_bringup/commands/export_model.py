@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         raise InferError(
             f"cannot write {args.file}: the folder {folder} does not exist; make it, or choose another place"
         )
-    model = ModelStore(args.store).load(args.model, args.rig)
+    model = console.load_model(ModelStore(args.store), args.model, args.rig)
     try:
         replace_file(args.file, to_xml(model).encode())
     except OSError as e:

@@ -3,6 +3,7 @@
 import argparse
 from typing import Any
 
+from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
 
 SUMMARY = "List the policies, show one's card, or measure it in simulations drawn from a model."
@@ -14,10 +15,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--measure", action="store_true", help="roll it out and report return, inclination and distance"
     )
-    parser.add_argument("--task", default="", help="task to measure it in (default: the one that it was trained for)")
+    console.add_task(parser, ": where to measure it (default: the one that it was trained for)")
     console.add_model(parser, "model version whose parameters are drawn")
-    parser.add_argument("--rollouts", type=int, default=64, help="how many rollouts to measure with (default: 64)")
-    parser.add_argument("--seed", type=int, default=1, help="of parameters and scenarios (default: 1)")
+    parser.add_argument(
+        "--rollouts", type=at_least(1), default=64, help="how many rollouts to measure with (default: 64)"
+    )
+    parser.add_argument("--seed", type=at_least(0), default=1, help="of parameters and scenarios (default: 1)")
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(
@@ -83,6 +86,6 @@ def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any
     task = args.task or (policy.card.task if isinstance(policy, Policy) else "")
     if not task:
         raise PolicyError(f"{policy.policy_id} belongs to no task; say --task balance or --task forward")
-    model = store.load(args.model)
+    model = console.load_model(store, args.model)
     found = evaluate(policy, model, draw_conditions(model, task, args.rollouts, args.seed)).summary()
     return {"task": task, "model": model.version, **found}

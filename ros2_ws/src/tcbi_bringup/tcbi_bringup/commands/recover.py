@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from tcbi_bringup.commands import console
+from tcbi_contract.wording import counted
 
 SUMMARY = "Repair bags that were cut off: every readable message goes into a new file; the original is kept aside."
 
@@ -43,12 +44,11 @@ def run(args: argparse.Namespace) -> int:
         return 0
     for r in found:
         if not r.repaired:
-            console.note(f"{r.bag}: nothing to repair, all {r.messages} messages are there")
+            console.note(f"{r.bag}: nothing to repair, {counted(r.messages, 'message')}")
             continue
         reason = "; ".join(r.damage) or "it had no metadata"
-        print(
-            f"{r.bag}: {r.messages} messages over {r.seconds:.2f} s are saved ({reason}; {r.lost_bytes} bytes are lost)"
-        )
+        lost = counted(r.lost_bytes, "byte")
+        print(f"{r.bag}: saved {counted(r.messages, 'message')} over {r.seconds:.2f} s ({reason}; lost {lost})")
         console.table("", ["topic", "messages"], sorted(r.topics.items()))
         print(f"the original is kept as {r.original}")
     return 0

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
-    parent = store.load(args.model, args.rig)
+    parent = console.load_model(store, args.model, args.rig)
     child = parent.without_effect(args.effect)
     (use,) = set(parent.effects) - set(child.effects)
     saved = store.save(dataclasses.replace(child, evidence=marginal_evidence(parent, use)))

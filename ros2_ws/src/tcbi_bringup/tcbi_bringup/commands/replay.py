@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from tcbi_bringup.arguments import above, at_least
 from tcbi_bringup.commands import console
 
 SUMMARY = "Play a bag into the graph: the same bytes on the same topics, with /clock, at any speed."
@@ -11,14 +12,16 @@ SUMMARY = "Play a bag into the graph: the same bytes on the same topics, with /c
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to play, and how fast."""
     parser.add_argument("bag", type=Path, help="a bag's folder or an .mcap file; a cut-off one plays as far as it goes")
-    parser.add_argument("--rate", type=float, default=1.0, help="speed; 2 is twice as fast as recorded (default: 1)")
+    parser.add_argument(
+        "--rate", type=above(0.0), default=1.0, help="speed; 2 is twice as fast as recorded (default: 1)"
+    )
     parser.add_argument("--loop", action="store_true", help="start again at the end")
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these, e.g. joint_states imu/data"
     )
     parser.add_argument("--namespace", default="", help="put before every topic")
     parser.add_argument(
-        "--wait-for", type=int, default=0, metavar="N", help="begin once N nodes listen to joint_states"
+        "--wait-for", type=at_least(0), default=0, metavar="N", help="begin once N nodes listen to joint_states"
     )
     parser.add_argument(
         "--drive", action="store_true", help="play joint_commands although a robot or a simulation listens: it moves"
@@ -37,15 +40,15 @@ def run(args: argparse.Namespace) -> int:
 
     from tcbi_bringup.domain_lock import refuse_to_drive
     from tcbi_contract import names
+    from tcbi_contract.wording import counted
     from tcbi_infer.player import schedule
     from tcbi_infer.replay_node import main
 
     plan = schedule(args.bag, tuple(args.topics))
     if names.JOINT_COMMANDS in plan.topics and not args.drive:
         refuse_to_drive(args.namespace.strip("/"))
-    console.note(
-        f"playing {len(plan.cues)} messages over {(plan.end - plan.start) * 1e-9:.1f} s at {args.rate:g} times"
-    )
+    messages, seconds = counted(len(plan.cues), "message"), (plan.end - plan.start) * 1e-9
+    console.note(f"playing {messages} over {seconds:.1f} s at {args.rate:g} times the recorded speed")
     parameters = {
         "bag": str(args.bag),
         "rate": float(args.rate),

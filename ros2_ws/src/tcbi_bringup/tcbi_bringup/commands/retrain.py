@@ -3,6 +3,7 @@
 import argparse
 from typing import Any
 
+from tcbi_bringup.arguments import above, at_least
 from tcbi_bringup.commands import console
 
 SUMMARY = "Train a policy's successor on a model's posterior; it is kept only if it is better with confidence."
@@ -10,18 +11,18 @@ SUMMARY = "Train a policy's successor on a model's posterior; it is kept only if
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which policy, on which model, and for how long."""
-    parser.add_argument("--task", required=True, help="balance or forward")
+    console.add_task(parser, required=True)
     parser.add_argument(
         "--policy", default="", help="the policy to beat, and to start from (default: the newest of the task)"
     )
     parser.add_argument("--scratch", action="store_true", help="train from scratch instead of from that policy")
     console.add_model(parser, "model version whose posterior is drawn from")
-    parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
+    parser.add_argument("--seed", type=at_least(0), default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument(
-        "--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)"
+        "--steps", type=at_least(1), default=0, help="control steps of all simulations together (default: the preset's)"
     )
     parser.add_argument(
-        "--budget", type=float, default=0.0, metavar="SECONDS", help="stop training after this time, too"
+        "--budget", type=above(0.0), default=0.0, metavar="SECONDS", help="stop training after this time, too"
     )
     console.add_store(parser)
     console.add_json(parser)
@@ -43,8 +44,9 @@ def run(args: argparse.Namespace) -> int:
     start = SCRATCH if args.scratch else ""
     job = Job(args.task, current, start, args.model, root, args.budget, args.steps, args.seed)
     planned = plan(job)
+    console.note_model(args.model, planned.model)
     console.note(f"training against {current} on {planned.model}")
-    with console.progress("training", total=planned.config.steps) as advance:
+    with console.progress("training", total=1.0) as advance:
         outcome = retrain(job, lambda event: follow(event, advance))
     result: dict[str, Any] = {
         "accepted": outcome.accepted, "policy": outcome.path, "name": outcome.reference, "rival": current,

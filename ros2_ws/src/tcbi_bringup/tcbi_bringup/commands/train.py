@@ -2,10 +2,12 @@
 
 import argparse
 import dataclasses
+import math
 import os
 from pathlib import Path
 from typing import Any
 
+from tcbi_bringup.arguments import above, at_least
 from tcbi_bringup.commands import console
 
 SUMMARY = "Train a policy for a task in simulations drawn from a model; a run that was interrupted goes on."
@@ -13,18 +15,18 @@ SUMMARY = "Train a policy for a task in simulations drawn from a model; a run th
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, and for how long."""
-    parser.add_argument("--task", required=True, help="balance or forward")
+    console.add_task(parser, required=True)
     parser.add_argument(
         "--preset", default="fast", help="fast (minutes, PPO) or paper (half a day, SAC as in the paper)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of everything that is drawn (default: 0)")
+    parser.add_argument("--seed", type=at_least(0), default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument("--out", default="", help="name in the store, or path of a .safetensors file (default: TASK-N)")
     console.add_model(parser, "model version whose parameters are drawn")
     parser.add_argument("--start", default="", help="policy to go on from (default: from scratch)")
     parser.add_argument(
-        "--steps", type=int, default=0, help="control steps of all simulations together (default: the preset's)"
+        "--steps", type=at_least(1), default=0, help="control steps of all simulations together (default: the preset's)"
     )
-    parser.add_argument("--budget", type=float, default=0.0, metavar="SECONDS", help="stop after this time, too")
+    parser.add_argument("--budget", type=above(0.0), default=0.0, metavar="SECONDS", help="stop after this time, too")
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(
@@ -44,9 +46,10 @@ def run(args: argparse.Namespace) -> int:
     store = ModelStore(args.store)
     planned = _plan(args, store)
     folder = write_run(store.folder("runs") / planned.key("train"), planned)
+    console.note_model(args.model, planned.model)
     console.note(f"training {args.task} on {planned.model}; interrupted, the same command goes on from {folder}")
     done: dict[str, Any] = {}
-    with TrainingProcess(folder) as process, console.progress("training", total=planned.config.steps) as advance:
+    with TrainingProcess(folder) as process, console.progress("training", total=1.0) as advance:
         for event in process.events():
             follow(event, advance)
             done = event if event["event"] == "done" else done
@@ -96,7 +99,11 @@ def follow(event: dict[str, Any], advance: Any) -> None:
     """Show one event of a training."""
     kind = event["event"]
     if kind == "progress":
-        advance(done=event["steps"], note=f"mean return {event['mean_return']:.0f}")
+        left_s = event["remaining_s"]
+        note = f"{event['steps']} of {event['total_steps']} steps, mean return {event['mean_return']:.0f}"
+        advance(done=event["share"], left_s=math.nan if left_s is None else left_s, note=note)
+    elif kind == "comparing":
+        advance(done=1.0, left_s=math.nan, note=f"comparing with {event['rival']} on {event['pairs']} held-out draws")
     elif kind == "evaluation":
         console.note(
             f"{event['steps']} steps: return {event['mean_return']:.0f} +- {event['sd_return']:.0f}, "

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
 
 SUMMARY = "Start the graph of nodes on a simulation, an emulated robot or a real one; Ctrl-C stops all of it."
@@ -18,14 +19,16 @@ PORT_S = 20.0  # time an emulated robot has to open its port
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to start."""
     parser.add_argument("--robot", default="sim", metavar="sim|emulated|PORT", help="default: sim")
-    parser.add_argument("--task", default="", help="terrain that the simulation starts with: balance or forward")
+    console.add_task(parser, ": terrain that the simulation starts with")
     parser.add_argument(
         "--policy", default="", help="what acts: a .safetensors file, a policy of the store, or gait:NAME"
     )
     console.add_model(parser, "model version to simulate")
     parser.add_argument("--lockstep", action="store_true", help="simulate as fast as it goes, with /clock (sim only)")
     parser.add_argument("--namespace", default="", help="put before every topic, for several robots in one domain")
-    parser.add_argument("--seed", type=int, default=0, help="of the simulation or the emulated robot (default: 0)")
+    parser.add_argument(
+        "--seed", type=at_least(0), default=0, help="of the simulation or the emulated robot (default: 0)"
+    )
     parser.add_argument("--no-learning", action="store_true", help="leave out the inference and the retrain node")
     parser.add_argument(
         "--log-dir", type=Path, help="where the processes' logs go (default: a new folder, named at start)"
@@ -45,7 +48,14 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_bringup.domain_lock import hold_domain, present_domain, refuse_second_graph
     from tcbi_bringup.graph_monitor import GraphMonitor
     from tcbi_bringup.launcher import Graph
-    from tcbi_bringup.robot_graph import GraphOptions, companion_processes, emulated_port, robot_processes
+    from tcbi_bringup.robot_graph import (
+        SIM,
+        GraphOptions,
+        companion_processes,
+        emulated_port,
+        newest_model,
+        robot_processes,
+    )
 
     options = GraphOptions(
         robot=args.robot,
@@ -65,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
         refuse_second_graph(monitor, domain, options.namespace)
         if asked():
             return INTERRUPTED
+        if options.robot == SIM:
+            console.note_model(args.model, newest_model(options.store))
         with (
             tempfile.TemporaryDirectory(prefix="tcbi-") as run_folder,
             Graph(domain_id=domain, log_dir=folder, restart=True) as graph,

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from tcbi_bringup.arguments import above, at_least
 from tcbi_bringup.commands import console
 
 SUMMARY = "Show a model version: in a window, or as a picture and a video where there is no display."
@@ -13,10 +14,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to show, and where to."""
     console.add_model(parser, "version to show")
     parser.add_argument("--rig", default="hexapod", help="rig whose newest version is shown (default: hexapod)")
-    parser.add_argument("--task", default="forward", help="balance or forward (default: forward)")
-    parser.add_argument("--seed", type=int, default=3, help="draws the terrain and the posture (default: 3)")
+    console.add_task(parser, default="forward")
+    parser.add_argument("--seed", type=at_least(0), default=3, help="draws the terrain and the posture (default: 3)")
     parser.add_argument("--policy", default="gait:tripod", help="policy file, its name in the store, or gait:NAME")
-    parser.add_argument("--seconds", type=float, default=8.0, help="length of the video (default: 8)")
+    parser.add_argument("--seconds", type=above(0.0), default=8.0, help="length of the video (default: 8)")
     parser.add_argument("--png", type=Path, help="write a picture of the start here")
     parser.add_argument("--video", type=Path, help="write an MP4 here")
     console.add_store(parser)
@@ -60,7 +61,7 @@ def _film(args: argparse.Namespace) -> Any:
     from tcbi_sim.tasks import find_task
     from tcbi_sim.view import Film
 
-    model = ModelStore(args.store).load(args.model, args.rig)
+    model = console.load_model(ModelStore(args.store), args.model, args.rig)
     if model.rig != "hexapod":
         return Film(model, Scenario("", args.seconds))
     return Film(model, find_task(args.task).draw(np.random.default_rng(args.seed), args.seed))

@@ -17,6 +17,7 @@ from tcbi_bringup.demo.narration import Narration
 from tcbi_bringup.demo.plan import Plan, slope_of
 from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
 from tcbi_bringup.errors import DemoError
+from tcbi_contract.wording import with_unit
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
 from tcbi_infer.diagnose.adopt import adopt
@@ -110,7 +111,7 @@ class Story:
         """Motions to learn from."""
         plan, out = self.plan, self.out
         self.say(f"robot {self.robot.seed} moves: {len(plan.motions)} motions of {plan.motion_s:g} s, each twice")
-        with console.progress("recording", total=2 * len(plan.motions)) as advance:
+        with console.progress("recording", total=2 * len(plan.motions), unit="rollouts") as advance:
             out.motions = self._motions(plan.motions, "motions", 0, advance)
         self.say(f"{len(out.motions)} rollouts, a bag each, in {self.folder / 'rollouts'}")
 
@@ -176,7 +177,9 @@ class Story:
                 self.plan.training_s,
                 self.robot.seed,
                 lambda f: advance(
-                    done=max(0.0, self.plan.training_s - f.remaining_s), note=f"return {f.mean_return:.0f}"
+                    done=self.plan.training_s - f.remaining_s,  # a budget: what is left is known from the beginning
+                    left_s=f.remaining_s,
+                    note=f"mean return {f.mean_return:.0f}",
                 ),
             )
         self.say(result.message)
@@ -184,7 +187,7 @@ class Story:
     def measure(self) -> None:
         """The task again, on new rollouts; every model version on the motions that no fit has seen."""
         out = self.out
-        with console.progress("deploying", total=self.plan.deployments) as advance:
+        with console.progress("deploying", total=self.plan.deployments, unit="rollouts") as advance:
             robot = self._run_meanwhile(lambda: self.run_task_again(advance))
             floor = out.comparison.floor if out.comparison else None  # from all motions, not these few
             for model in out.models:
@@ -263,7 +266,7 @@ class Story:
         self.out.models.append(saved)
         what = f"has {use}" if use else "keeps its effects, with fitted parameters"
         means = zip(saved.parameters, saved.mean(), strict=True)
-        values = ", ".join(f"{p.name} {v:.3g} {p.unit.removeprefix('1')}".rstrip() for p, v in means)
+        values = ", ".join(with_unit(f"{p.name} {v:.3g}", p.unit) for p, v in means)
         self.say(f"{saved.version} {what}: {values}")
         if diagnosis.verdict == NOTHING_MISSING:
             self.say("nothing is missing: no effect is added")

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from tcbi_contract.names import JOINT_COMMANDS
+from tcbi_contract.wording import counted
 from tcbi_infer.bags.streams import Record, Recording, ordered
 from tcbi_sim.measurement import Commands
 
@@ -31,7 +32,7 @@ def read_commands(
         else:
             rows += found
     if strange:
-        notes.append(f"{JOINT_COMMANDS}: {strange} messages do not name the rig's joints and are left out")
+        notes.append(f"{JOINT_COMMANDS}: left out {counted(strange, 'message')} without the names of the rig's joints")
     if not rows:
         notes.append(f"no {JOINT_COMMANDS}: nothing can be simulated again with the same commands")
         return Commands(np.empty(0), np.empty((0, len(joint_names))))

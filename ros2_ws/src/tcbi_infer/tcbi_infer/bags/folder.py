@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from tcbi_contract.wording import counted
 from tcbi_infer.bags.files import ASIDE, LOCK
 from tcbi_infer.bags.recovery import recover
 from tcbi_infer.bags.writer import UNFINISHED
@@ -73,10 +74,8 @@ class RecordingFolder:
                     left.rename(aside)
                 lines.append(f"{left.name} was left unfinished and cannot be repaired, it is kept as {aside.name}: {e}")
                 continue
-            lines.append(
-                f"{left.name} was left unfinished; {recovery.messages} messages over {recovery.seconds:.1f} s are now "
-                f"in {recovery.bag.name}"
-            )
+            saved = f"{counted(recovery.messages, 'message')} over {recovery.seconds:.1f} s"
+            lines.append(f"{left.name} was left unfinished; saved {saved} in {recovery.bag.name}")
         return lines
 
     def require_space(self, megabytes: float) -> None:

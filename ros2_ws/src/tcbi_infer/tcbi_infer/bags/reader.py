@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from tcbi_contract.names import FOOT_CONTACTS, IMU, JOINT_STATES, JOINTS, LEGS, TRACKER_POSE
+from tcbi_contract.wording import counted
 from tcbi_infer.bags.commands import late_commands, read_commands
 from tcbi_infer.bags.files import find_bags
 from tcbi_infer.bags.rollouts import Span, lacking, spans
@@ -163,10 +164,10 @@ def _joints(recording: Recording, joint_names: tuple[str, ...], notes: list[str]
             notes.append(f"{JOINT_STATES}: joints come in another order and are put in the rig's by name{also}")
             break
     if short:
-        notes.append(f"{JOINT_STATES}: {short} messages lack a joint of the rig or a position and are left out")
+        notes.append(f"{JOINT_STATES}: left out {counted(short, 'message')} without a joint of the rig or a position")
     if found is not None and not np.isfinite(found.values).all():
         bad = ~np.isfinite(found.values).all(axis=1)
-        notes.append(f"{JOINT_STATES}: {int(bad.sum())} samples hold a position that is no number and are left out")
+        notes.append(f"{JOINT_STATES}: left out {counted(int(bad.sum()), 'sample')} with a position that is no number")
         found = Stream(found.stamp[~bad], found.values[~bad])
     return found
 

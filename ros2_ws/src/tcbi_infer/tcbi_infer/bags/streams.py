@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tcbi_contract import names
+from tcbi_contract.wording import counted
 from tcbi_infer.bags import schemas
 from tcbi_infer.bags.files import mcap_files
 from tcbi_infer.bags.scan import Channel, Message, Scan
@@ -206,7 +207,7 @@ def ordered(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
     order = order[np.argsort(stamp[order], kind="stable")]
     fresh = np.concatenate([[True], np.diff(stamp[order]) > 0])
     if moved:
-        notes.append(f"{name}: {moved} samples arrived out of order and are sorted by their stamps")
+        notes.append(f"{name}: {counted(moved, 'sample')} arrived out of order, now sorted by stamp")
     if not fresh.all():
-        notes.append(f"{name}: {int(np.sum(~fresh))} samples repeat the stamp of another and are left out")
+        notes.append(f"{name}: left out {counted(int(np.sum(~fresh)), 'sample')} with the stamp of another")
     return order[fresh]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from tcbi_contract.errors import TcbiError
 from tcbi_sim.effect import Effect, EffectUse
-from tcbi_sim.errors import EffectError, SimError, UnknownNameError
+from tcbi_sim.errors import EffectError, SimError, UnknownNameError, UnknownSiteError
 from tcbi_sim.places import USER_EFFECTS, effects_folder
 from tcbi_sim.rig import Rig
 from tcbi_sim.user_effects import UserEffectError, load_file, told
@@ -103,9 +103,7 @@ def find_use(key: str, rig: Rig) -> EffectUse:
     if why_not:
         raise SimError(f"effect {name!r} does not suit the rig {rig.name!r}: {why_not}")
     if site not in sites:
-        raise SimError(
-            f"effect {name!r}: site {site!r}, allowed is one of {', '.join(map(repr, sites))}; write name:site"
-        )
+        raise UnknownSiteError(name, site, sites)
     return EffectUse(effect, site)
 
 

@@ -1,0 +1,56 @@
+"""What a command line may say: a parser whose faults are one line, and types that name the value and what is allowed.
+
+parser.add_argument("--n", type=at_least(1))               # an int
+parser.add_argument("--rate", type=above(0.0))             # a float
+parser.add_argument("--diagnosis", type=existing_file)
+"""
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+USAGE = 2  # exit status
+TASKS = ("balance", "forward")  # of tcbi_sim.tasks, without its imports
+
+
+class Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong, instead of all options first."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with the status of wrong usage."""
+        text = " ".join(message.removeprefix("argument ").split())
+        self.exit(USAGE, f"tcbi: {text}; {self.prog} --help explains\n")
+
+
+def at_least(low: float) -> Callable[[str], Any]:
+    """A number that is `low` or more, of the kind of `low`."""
+    return _number(type(low), lambda value: value >= low, f"{low:g} or more")
+
+
+def above(low: float) -> Callable[[str], Any]:
+    """A number that is more than `low`, of the kind of `low`."""
+    return _number(type(low), lambda value: value > low, f"more than {low:g}")
+
+
+def _number(kind: type, fits: Callable[[Any], bool], allowed: str) -> Callable[[str], Any]:
+    def parse(text: str) -> Any:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and fits(value)):
+            whole = "a whole number, " if kind is int else "a number, "
+            raise argparse.ArgumentTypeError(f"got {text!r}, allowed is {whole}{allowed}")
+        return value
+
+    return parse
+
+
+def existing_file(text: str) -> Path:
+    """The path of a file that is there."""
+    path = Path(text).expanduser()
+    if not path.is_file():
+        raise argparse.ArgumentTypeError(f"got {text!r}, allowed is a file, and there is none of this name")
+    return path
