@@ -1,5 +1,8 @@
 """Every effect does nothing at its null value, something at its nominal one, and states what it is."""
 
+from types import SimpleNamespace
+
+import mujoco
 import numpy as np
 import pytest
 
@@ -168,3 +171,30 @@ def test_a_robot_slides_down_a_slope_only_where_the_ground_is_slippery():
     patches = [{"grip": 1.0}, {"grip": 0.1, "begin": -0.3}, {"grip": 0.1, "begin": 1.0}]
     moved = np.linalg.norm(standing("slippery_ground", patches, Scenario("s", 1.0, 0.2, 0.0)), axis=1)
     assert moved[1] > 0.05 and moved[0] < 0.01 and moved[2] < 0.01
+
+
+def test_a_joint_with_dry_friction_gives_way_before_it_slides_and_springs_back_but_not_once_it_slid():
+    torque, presliding = 0.05, 0.01
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body()
+    body.add_joint(name="hinge", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=1e-3, damping=[0.05, 0, 0])
+    body.add_geom(size=[0.01, 0, 0], mass=0.01)
+    rig = SimpleNamespace(joint_names=("hinge",))
+    effect = built_in()["coulomb_friction"]
+    effect.edit(spec, rig, "")
+    model = spec.compile()
+    arrays = {name: getattr(model, name)[None] for name in ("actuator_dynprm", "actuator_biasprm")}
+    fields = SimpleNamespace(model=arrays, actuators=lambda names: [model.actuator(n).id for n in names])
+    effect.apply(fields, rig, "", {"torque": np.array([torque]), "presliding": np.array([presliding])})
+    data = mujoco.MjData(model)
+
+    def settled(load: float) -> float:
+        data.qfrc_applied[0] = load
+        mujoco.mj_step(model, data, 2000)
+        return float(data.qpos[0])
+
+    bent = settled(0.5 * torque)
+    assert 0.5 * presliding < bent < presliding, "bristles bend"
+    assert settled(0.0) < 0.6 * bent, "and spring back, if not all the way"
+    assert settled(1.2 * torque) > 20 * presliding, "it slides"
+    assert settled(0.0) > 20 * presliding, "and stays where it slid to"
