@@ -20,6 +20,10 @@ class TrainingConfig:
     environments: int = 64
     timestep: float = 0.01  # s of the physics
     threads: int = 0  # 0 for all processors
+    prior: bool = False  # draw from the prior of the model's parameters instead of its posterior
+    effects: tuple[str, ...] = ()  # further effects ("name" or "name:site") that some of the episodes have
+    effect_share: float = 0.5  # of the episodes that have each of them
+    observation_noise: float = 0.0  # rad, standard deviation on each entry of the observation (equation 14)
     learning_rate: float = 1e-3
     batch_size: int = 256
     gamma: float = 0.8
@@ -51,7 +55,7 @@ class TrainingConfig:
         """
         try:
             data = json.loads(text)
-            data["layers"] = tuple(data["layers"])
+            data |= {key: tuple(data.get(key, ())) for key in ("layers", "effects")}
             return TrainingConfig(**data)
         except (ValueError, TypeError, KeyError) as e:
             raise TrainingError(f"not a training configuration: {e}; start the run again in a new folder") from e
@@ -69,8 +73,11 @@ class TrainingConfig:
         faults += [describe(name, getattr(self, name), "more than 0") for name in positive if getattr(self, name) <= 0]
         if not 0.0 < self.gamma < 1.0:
             faults.append(describe("gamma", self.gamma, "between 0 and 1"))
-        if self.budget_s < 0:
-            faults.append(describe("budget_s", self.budget_s, "0 (no limit) or more"))
+        for name in ("observation_noise", "budget_s"):
+            if not getattr(self, name) >= 0:
+                faults.append(describe(name, getattr(self, name), "0 or more"))
+        if not 0.0 < self.effect_share <= 1.0:
+            faults.append(describe("effect_share", self.effect_share, "more than 0 and up to 1"))
         if faults:
             raise TrainingError("; ".join(faults))
         return self
@@ -84,7 +91,7 @@ _PAPER = TrainingConfig(
 PRESETS: dict[str, dict[str, TrainingConfig]] = {
     # PPO: a policy that is useful after minutes on two cores
     "fast": {
-        "balance": TrainingConfig("balance", steps=81_920),
+        "balance": TrainingConfig("balance", steps=81_920, environments=32, batch_size=128, evaluate_every=8),
         "forward": TrainingConfig(
             "forward",
             steps=110_400,

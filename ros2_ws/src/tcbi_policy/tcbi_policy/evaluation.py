@@ -95,6 +95,36 @@ class Network:
         return self.mlp(observation)
 
 
+@dataclass
+class NoisyObservation:
+    """A policy that sees its observations with noise: s* = s + x, x normal (the paper's equation 14)."""
+
+    actor: Actor
+    sigma: float  # rad, on every entry
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(0)
+
+    @property
+    def policy_id(self) -> str:
+        """The policy's."""
+        return self.actor.policy_id
+
+    @property
+    def needs_attitude(self) -> bool:
+        """The policy's."""
+        return self.actor.needs_attitude
+
+    def reset(self, count: int, rng: np.random.Generator | None = None) -> None:
+        """Start episodes, with noise from `rng`."""
+        self._rng = rng or np.random.default_rng(0)
+        self.actor.reset(count, rng)
+
+    def act(self, time: float, observation: np.ndarray) -> np.ndarray:
+        """Joint targets (B, J) in rad for observations (B, J + 3) in rad, of which it sees noisy ones."""
+        return self.actor.act(time, observation + self.sigma * self._rng.standard_normal(observation.shape))
+
+
 @dataclass(frozen=True)
 class Comparison:
     """The gain of one policy over another under the same conditions."""

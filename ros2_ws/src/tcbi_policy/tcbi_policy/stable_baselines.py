@@ -35,6 +35,7 @@ class HexapodVecEnv(VecEnv):
         action = environment.single_action_space
         assert isinstance(action, Box)
         self._actions = np.zeros((environment.num_envs, *action.shape), np.float32)
+        self._returns = np.zeros(environment.num_envs)
         super().__init__(environment.num_envs, Box(-bound, bound), action)
 
     def _scaled(self, observation: np.ndarray) -> np.ndarray:
@@ -42,6 +43,7 @@ class HexapodVecEnv(VecEnv):
 
     def reset(self) -> np.ndarray:
         """Start the episodes of the present generation."""
+        self._returns[:] = 0.0
         return self._scaled(self.inner.reset()[0])
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -52,9 +54,14 @@ class HexapodVecEnv(VecEnv):
         """One control period; the end of an episode is a time limit, never an end of the task."""
         observation, reward, _, truncated, info = self.inner.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        self._returns += reward
         if truncated.all():
             last = self._scaled(info["final_obs"])
-            infos = [{"terminal_observation": row, "TimeLimit.truncated": True} for row in last]
+            infos = [
+                {"terminal_observation": row, "TimeLimit.truncated": True, "episode": {"r": r, "l": self.inner.steps}}
+                for row, r in zip(last, self._returns, strict=True)
+            ]
+            self._returns = np.zeros(self.num_envs)
         return self._scaled(observation), (reward * self._reward_scale).astype(np.float32), truncated, infos
 
     def close(self) -> None:

@@ -8,7 +8,8 @@ total_steps, share, mean_return, elapsed_s, remaining_s, null until known), `eva
 where there is a rival, `comparing` and `comparison`.
 
 Every set of episodes starts from a seed made of the run's seed and its number, and a checkpoint is written between
-sets: so PPO gives the same weights whether it was killed or not, on the same machine and library versions.
+sets: so a run gives the same weights whether it was killed or not, on the same machine and library versions. For
+TensorBoard the folder `tensorboard` holds what is logged.
 """
 
 import dataclasses
@@ -29,16 +30,18 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 
 from tcbi_contract.errors import TcbiError
-from tcbi_policy.artefact import Card, Policy, find_policy, replace_file, save_policy
+from tcbi_policy.artefact import Actor, Card, Policy, find_policy, replace_file, save_policy
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
-from tcbi_policy.evaluation import Conditions, Network, compare_paired, draw_conditions, evaluate
+from tcbi_policy.evaluation import Conditions, Network, NoisyObservation, compare_paired, draw_conditions, evaluate
 from tcbi_policy.gaits import CYCLES
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
+from tcbi_policy.randomisation import prior_of, randomised
 from tcbi_policy.runs import ERRORS, Run
 from tcbi_policy.stable_baselines import (
     HexapodVecEnv,
@@ -51,6 +54,7 @@ from tcbi_policy.stable_baselines import (
     state_tensors,
     to_mlp,
 )
+from tcbi_policy.tensorboard import EventFile
 from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
@@ -92,16 +96,21 @@ class Training:
           start: a policy to start from; None for scratch (or for `config.imitate`).
           report: receives every progress object.
         """
-        self.folder, self.config, self.model, self.start = folder, config.checked(), model, start
+        self.folder, self.config, self.start, self.version = folder, config.checked(), start, model.version
+        drawn = prior_of(model, config.seed) if config.prior else model
+        self.model = randomised(drawn, config.effects, config.effect_share, config.seed)
         self._report = report or (lambda _: None)
         self.state = State()
-        self.conditions: Conditions = draw_conditions(model, config.task, config.evaluations, EVALUATION_SEED)
+        self.conditions: Conditions = draw_conditions(self.model, config.task, config.evaluations, EVALUATION_SEED)
         self.environment = HexapodVectorEnv(
-            model, config.task, config.environments, config.seed,
-            squash=config.algorithm == "ppo", timestep=config.timestep, threads=config.threads,
+            self.model, config.task, config.environments, config.seed,
+            squash=config.algorithm == "ppo", observation_noise=config.observation_noise,
+            timestep=config.timestep, threads=config.threads,
         )  # fmt: skip
         torch.set_num_threads(1)  # the same sums in the same order; the physics uses the processors
         self.algorithm = make_algorithm(config, HexapodVecEnv(self.environment, config.reward_scale))
+        self.events = EventFile(folder / "tensorboard")
+        self.algorithm.set_logger(Logger(None, [self.events]))
         self.best: Mlp = self.present()
         self._began, self._began_cpu = time.monotonic(), time.process_time()
         self._first_set: tuple[float, int] | None = None  # elapsed s and steps where this life began to train
@@ -169,8 +178,10 @@ class Training:
             self._save()
         self.progress()
         seed = [self.config.seed, self.state.sets]
-        np.random.seed(np.random.SeedSequence(seed).generate_state(1))
-        torch.manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
+        number = int(np.random.SeedSequence(seed).generate_state(1)[0])
+        np.random.seed(number)
+        torch.manual_seed(number)
+        self.algorithm.action_space.seed(number)
         freeze_actor(self.algorithm, self.state.sets < self.config.warm_up)
 
     def progress(self) -> None:
@@ -220,14 +231,16 @@ class Training:
         if self.state.curve and self.state.curve[-1]["steps"] == self.state.steps:
             return
         present = self.present()
-        result = evaluate(
-            Network(present), self.model, self.conditions, self.config.timestep, self.config.threads
-        ).summary()
+        actor: Actor = Network(present)
+        if self.config.observation_noise:
+            actor = NoisyObservation(actor, self.config.observation_noise)
+        result = evaluate(actor, self.model, self.conditions, self.config.timestep, self.config.threads).summary()
         self._clock()
         point = {"steps": self.state.steps, "cpu_s": round(self.state.cpu, 1), **result}
         self.state.curve.append(point)
         if result["mean_return"] > self.state.best:
             self.state.best, self.best = result["mean_return"], present
+        self.events.add(self.state.steps, {f"evaluation/{name}": value for name, value in result.items()})
         self._report({"event": "evaluation", **point})
 
     def _artefact(self) -> Policy:
@@ -237,7 +250,7 @@ class Training:
         config = dataclasses.asdict(self.config)
         taken = {"steps_taken": self.state.steps, "cpu_s": round(self.state.cpu, 1), "mean_return": self.state.best}
         return save_policy(self.folder / "policy", self.best, Card(
-            name=self.config.task, task=self.config.task, model=self.model.version, posterior=posterior,
+            name=self.config.task, task=self.config.task, model=self.version, posterior=posterior,
             training={**config, **taken},
             curve=self.state.curve, libraries=library_versions(), parent=self.start.policy_id if self.start else "",
             created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),

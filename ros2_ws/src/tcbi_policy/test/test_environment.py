@@ -115,7 +115,7 @@ def test_the_vector_environment_keeps_gymnasiums_promises() -> None:
     first, _ = recorded.reset(seed=5)
     assert first in environment.observation_space
     environment.action_space.seed(0)
-    total, info = np.zeros(3), {}
+    total = np.zeros(3)
     for _ in range(40):
         observation, reward, terminated, truncated, info = recorded.step(environment.action_space.sample())
         assert observation in environment.observation_space

@@ -54,11 +54,20 @@ def test_what_is_deployed_acts_as_what_was_trained(tmp_path: Path, algorithm: st
     np.testing.assert_allclose(training.present()(observation), expected, atol=1e-6)
 
 
-def test_a_killed_run_goes_on_to_the_same_weights(tmp_path: Path) -> None:
-    whole = train(tmp_path / "whole")
+@pytest.mark.parametrize(
+    "config",
+    [
+        TINY,
+        dataclasses.replace(TINY, steps=800, epochs=6, observation_noise=0.02, effects=("command_latency",)),
+        dataclasses.replace(TINY, algorithm="sac", updates=2, batch_size=16),
+    ],
+    ids=["ppo", "ppo, randomised", "sac"],
+)
+def test_a_killed_run_goes_on_to_the_same_weights(tmp_path: Path, config: TrainingConfig) -> None:
+    whole = train(tmp_path / "whole", config)
     with pytest.raises(Killed):
-        train(tmp_path / "killed", die_after=2)
-    resumed = train(tmp_path / "killed")
+        train(tmp_path / "killed", config, die_after=3)
+    resumed = train(tmp_path / "killed", config)
     assert resumed.card.sha256 == whole.card.sha256
     assert [p["steps"] for p in resumed.card.curve] == [p["steps"] for p in whole.card.curve]
 

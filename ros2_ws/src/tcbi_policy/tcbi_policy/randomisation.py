@@ -1,0 +1,59 @@
+"""A model in which each particle has some effects and not others: domain randomisation beyond the plain parameters.
+
+    wide = randomised(model, ("command_latency", "lost_commands"), share=0.5)
+    environment = HexapodVectorEnv(wide, "balance", 64, observation_noise=0.02)
+
+The result is a model like any other, so that training, evaluation and the card of a policy need to know nothing more.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from tcbi_contract.errors import describe
+from tcbi_policy.errors import TrainingError
+from tcbi_sim.model import Model
+
+PARTICLES = 1024
+
+
+def prior_of(model: Model, seed: int = 0) -> Model:
+    """The model's structure with every parameter as wide as its prior."""
+    units = np.random.default_rng([seed, 32452843]).random((PARTICLES, len(model.names)))
+    return model.with_particles(model.from_unit(units), prior_of=model.version)
+
+
+def randomised(model: Model, effects: tuple[str, ...], share: float = 0.5, seed: int = 0) -> Model:
+    """The model with more effects, each of them present in a share of the particles.
+
+    Args:
+      model: gives everything else its distribution.
+      effects: uses ("name" or "name:site") that the model does not have; where present, they follow their prior.
+      share: of the particles in which an effect is present, each effect by itself; in the others its parameters have
+        their null value, at which it does nothing.
+      seed: of the draws.
+
+    Raises:
+      TrainingError: a share beyond 0 to 1, or an effect that cannot be switched off.
+      SimError: an unknown effect, or one that the model has already.
+    """
+    if not 0.0 < share <= 1.0:
+        raise TrainingError(describe("effect_share", share, "more than 0 and up to 1"))
+    if not effects:
+        return model
+    rng = np.random.default_rng([seed, 49979687])
+    wide = model.with_particles(model.sample(rng, PARTICLES), randomised=list(effects))
+    for effect in effects:
+        known = len(wide.parameters)
+        wide = wide.with_effect(effect)
+        particles, absent = wide.particles.copy(), rng.random(PARTICLES) >= share
+        own = [p.null for p in wide.parameters[known:]]
+        if share < 1.0 and all(null is None for null in own):
+            raise TrainingError(
+                f"effect {effect} has no null value, so no episode can be without it; set the share to 1"
+            )
+        for column, null in enumerate(own, known):
+            if null is not None:
+                particles[absent, column] = null
+        wide = dataclasses.replace(wide, particles=particles)
+    return dataclasses.replace(wide, version=f"{model.saved_version}+{'+'.join(effects)}")

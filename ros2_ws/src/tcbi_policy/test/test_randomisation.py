@@ -1,0 +1,61 @@
+"""Which effects an episode has, and how far its parameters spread."""
+
+import numpy as np
+import pytest
+
+from tcbi_policy.environment import HexapodVectorEnv
+from tcbi_policy.errors import TrainingError
+from tcbi_policy.evaluation import NoisyObservation
+from tcbi_policy.gaits import Gait
+from tcbi_policy.randomisation import prior_of, randomised
+from tcbi_sim.errors import SimError
+from tcbi_sim.model import base_model
+
+MODEL = base_model("hexapod")
+
+
+def test_each_effect_is_there_in_its_share_of_the_particles_and_does_nothing_in_the_others() -> None:
+    wide = randomised(MODEL, ("command_latency", "lost_commands"), share=0.25, seed=1)
+    assert wide.effects == ("command_latency", "lost_commands")
+    nulls = np.array([np.nan if p.null is None else p.null for p in wide.parameters])
+    present = (wide.particles[:, 3:] != nulls[3:]).astype(float)
+    assert present.mean(axis=0) == pytest.approx(0.25, abs=0.05)
+    assert abs(np.corrcoef(present.T)[0, 1]) < 0.1  # each by itself
+
+
+def test_the_plain_parameters_keep_their_distribution() -> None:
+    known = MODEL.with_particles(MODEL.particles[:20])
+    wide = randomised(known, ("command_latency",))
+    assert all((known.particles == row).all(axis=1).any() for row in wide.particles[:, :3])
+
+
+def test_a_prior_is_as_wide_as_the_bounds_whatever_the_posterior_says() -> None:
+    narrow = MODEL.with_particles(np.tile(MODEL.mean(), (5, 1)))
+    units = narrow.to_unit(prior_of(narrow).particles)
+    np.testing.assert_allclose(units.mean(axis=0), 0.5, atol=0.05)
+    np.testing.assert_allclose(units.std(axis=0), 12**-0.5, atol=0.02)
+
+
+def test_environments_with_different_effects_run_side_by_side() -> None:
+    environment = HexapodVectorEnv(randomised(MODEL, ("lost_commands", "backlash")), "balance", 16, seed=2)
+    environment.reset()
+    _, reward, _, _, info = environment.step(np.full((16, 18), 0.2))
+    assert np.isfinite(reward).all() and not info["diverged"].any()
+
+
+def test_no_effects_leave_the_model_as_it_is_and_wrong_ones_are_named() -> None:
+    assert randomised(MODEL, ()) is MODEL
+    with pytest.raises(SimError, match="magic"):
+        randomised(MODEL, ("magic",))
+    with pytest.raises(TrainingError, match="effect_share"):
+        randomised(MODEL, ("backlash",), share=0.0)
+
+
+def test_a_noisy_policy_sees_noise_of_the_size_that_was_asked_for() -> None:
+    class Echo(Gait):
+        def act(self, time: float, observation: np.ndarray) -> np.ndarray:
+            return observation
+
+    noisy = NoisyObservation(Echo("stand"), 0.08)
+    noisy.reset(1000, np.random.default_rng(0))
+    assert noisy.act(0.0, np.zeros((1000, 21))).std() == pytest.approx(0.08, rel=0.02)
