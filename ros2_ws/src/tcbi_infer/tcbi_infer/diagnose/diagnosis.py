@@ -15,16 +15,20 @@ from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.compare.replicates import MIN_KINDS, Split, split
-from tcbi_infer.diagnose.evidence import Diagnosis, Evidence
+from tcbi_infer.compare.replicates import Split, split
+from tcbi_infer.diagnose import excitation
+from tcbi_infer.diagnose.detectable import Background, detectable_sizes
+from tcbi_infer.diagnose.evidence import CANNOT_TELL, DetectableSize, Diagnosis, Evidence, NextMotion
+from tcbi_infer.diagnose.false_alarms import false_alarms
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.judge import Judge, Judged, screened
+from tcbi_infer.diagnose.motions import ready_motions
 from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.screen import Directions, Screen, Targets, simulate_directions
 from tcbi_infer.diagnose.starts import start_points
-from tcbi_infer.diagnose.verdict import accept, ranked, rule
+from tcbi_infer.diagnose.verdict import Ruling, accept, ranked, rule
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import candidates
 from tcbi_sim.errors import UnknownNameError
@@ -62,6 +66,7 @@ def diagnose(
     uses: Sequence[str] | None = None,
     settings: Settings | None = None,
     progress: Progress | None = None,
+    show: Sequence[str] = (),
 ) -> Diagnosis:
     """Finds the physical effect that a model lacks.
 
@@ -71,11 +76,13 @@ def diagnose(
       uses: candidate effects, "name" or "name:site"; the whole library by default.
       settings: how thorough.
       progress: called with the stage and the share done.
+      show: candidates of which to say which motion would show them best.
 
     Raises:
       CompareError: nothing to compare, or another rig's rollouts.
     """
-    return _Run(model, measurements, uses, settings or Settings(), progress or (lambda stage, share: None)).go()
+    quiet: Progress = lambda stage, share: None  # noqa: E731
+    return _Run(model, measurements, uses, settings or Settings(), progress or quiet, show).go()
 
 
 def library(model: Model) -> list[EffectUse]:
@@ -107,8 +114,9 @@ class _Run:
         uses: Sequence[str] | None,
         settings: Settings,
         progress: Progress,
+        show: Sequence[str],
     ) -> None:
-        self.began = time.perf_counter()
+        self.began, self.show = time.perf_counter(), show
         self.model, self.settings, self.progress = model, settings, progress
         self.measurements = measurements
         self.replay = Replay.of(model, measurements)
@@ -165,7 +173,10 @@ class _Run:
         for e in evidence:
             accepted, reason = accept(e, null.threshold)
             judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
-        return self._conclude(judge, before, self._drift(coarse, base), ranked(judged), after, null, directions)
+        background = Background.of(null, min(e.error for e in (before, *after.values())), leftover)
+        detectable = detectable_sizes(self.problem, screen, background)
+        drift = self._drift(coarse, base)
+        return self._conclude(judge, before, drift, ranked(judged), after, null, directions, detectable)
 
     def fit_base(self) -> tuple[Fit, Nuisance]:
         """The base model's parameters from a grid of starts, then again with scatter between joints allowed for."""
@@ -252,6 +263,7 @@ class _Run:
         after: dict[str, Judged],
         null: Null,
         directions: Directions,
+        detectable: tuple[DetectableSize, ...] = (),
     ) -> Diagnosis:
         """Rule, and put together everything that the verdict rests on."""
         kinds, sealed = len(self.split.folds), judge.sealed
@@ -279,7 +291,28 @@ class _Run:
             claims=tuple(self._claims(kinds, sealed, null)),
             base=judge.evidence("", before, before, drift),
             moments=tuple(judge.moments(before, after[best.use])) if best else (),
+            false_alarms=false_alarms(null),
+            detectable=detectable,
+            next_motions=self._next_motions(ruling, before, after, detectable) if self.show else (),
         )
+
+    def _next_motions(
+        self, ruling: Ruling, before: Judged, after: dict[str, Judged], sizes: Sequence[DetectableSize]
+    ) -> tuple[NextMotion, ...]:
+        """What to record next, where that is asked for or the rollouts cannot tell."""
+        if ruling.verdict != CANNOT_TELL and not self.show:
+            return ()
+        self.progress("looking for the motion to record next", 0.95)
+        motions, timestep = ready_motions(load_rig(self.model.rig), self.replay.measurements), self.settings.coarse
+        found: tuple[NextMotion, ...] = ()
+        if ruling.verdict == CANNOT_TELL:
+            fits = {use: judged.fit for use, judged in after.items()}
+            found = excitation.between(self.problem, ruling.uses, before.fit, fits, motions, timestep)
+        for use in self.show:
+            size = min((s for s in sizes if s.use == use and s.value is not None), key=lambda s: s.share, default=None)
+            truth = excitation.planted(before.fit, use, size)
+            found += excitation.motions_that_show(self.problem, use, before.fit, truth, motions, timestep)
+        return found
 
     def _claims(self, kinds: int, sealed: Sequence[Measurement], null: Null) -> list[str]:
         if kinds < 2:
@@ -291,13 +324,7 @@ class _Run:
         if not sealed and kinds >= 2:
             why = "Too few kinds of motion to seal any" if self.settings.sealed_share else "A quick look seals none"
             claims.append(f"{why}: the errors shown are cross-validated.")
-        if kinds < MIN_KINDS:
-            claims.append(f"With fewer than {MIN_KINDS} kinds of motion no false-alarm rate is claimed.")
-        elif np.isfinite(null.threshold):
-            claims.append(
-                f"In {len(null.maxima)} simulated data sets with nothing missing the whole search exceeded "
-                f"{null.threshold:.1f} standard errors in 5 % of cases."
-            )
+        claims.append(false_alarms(null).statement)
         if not self.floor.from_replicates:
             claims.append(self.floor.statement)
         return claims

@@ -83,6 +83,75 @@ class Moment:
 
 
 @dataclasses.dataclass(frozen=True)
+class DetectableSize:
+    """The smallest size of an effect that the rollouts could have shown, in four of five recordings like these.
+
+    Attributes:
+      use: "name" or "name:site".
+      parameter: the one that is moved, its qualified name; "" for a use that changes nothing.
+      value: of the parameter, in `unit`, nearest to `null`, where the effect vanishes; None where no size is shown.
+      share: distance from the null value, of the parameter's range.
+      limit: which of the requirements decides.
+      reason: why no size is shown, or "".
+      place: parameters without a null value for which this holds; "" where it holds for all that were tried.
+    """
+
+    use: str
+    parameter: str = ""
+    unit: str = ""
+    null: float | None = None
+    value: float | None = None
+    share: float = math.nan
+    limit: str = ""
+    reason: str = ""
+    place: str = ""
+
+    @property
+    def effect(self) -> str:
+        """Name in the library."""
+        return self.use.partition(":")[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class FalseAlarms:
+    """How often the search finds something in simulated data sets in which nothing is missing.
+
+    Attributes:
+      statement: in a sentence.
+      data_sets: simulated.
+      rate: share of them; None where none is claimed, and so for `low90` and `high90`.
+    """
+
+    statement: str
+    data_sets: int = 0
+    rate: float | None = None
+    low90: float | None = None
+    high90: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class NextMotion:
+    """A motion that could be recorded next, and what is expected of it.
+
+    Attributes:
+      motion: its name, such as "gait:twist"; `description` in words.
+      between: the two uses whose models it is to tell apart; "" is the model without any.
+      nats: expected log-likelihood ratio, whichever of the two is right.
+      duration_s: its length.
+      command: of the shell, that records it; "" where the rig has no recorder here.
+      table: then the commands themselves, rows of time (s) and targets (rad).
+    """
+
+    motion: str
+    description: str
+    between: tuple[str, str]
+    nats: float
+    duration_s: float
+    command: str = ""
+    table: tuple[tuple[float, ...], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """The verdict and everything that it rests on.
 
@@ -94,6 +163,9 @@ class Diagnosis:
       untestable: uses that change nothing in these rollouts.
       moments: where the base model fails worst, with and without the best candidate.
       claims: caveats in sentences: how the data were split, what no claim is made about.
+      false_alarms: how often the search alone raises one, as simulated for this robot and these rollouts.
+      detectable: the smallest size of each effect that these rollouts could have shown, or why none.
+      next_motions: what to record where the rollouts cannot tell, or to show an effect that was asked for; best first.
     """
 
     model: str
@@ -113,6 +185,9 @@ class Diagnosis:
     claims: tuple[str, ...]
     base: Evidence
     moments: tuple[Moment, ...] = ()
+    false_alarms: FalseAlarms | None = None
+    detectable: tuple[DetectableSize, ...] = ()
+    next_motions: tuple[NextMotion, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""
@@ -127,6 +202,8 @@ class Diagnosis:
 
 def _plain(value: Any) -> Any:
     """Tuples to lists, numpy to Python, NaN and infinity to None, so that any JSON reader takes it."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain(dataclasses.asdict(value))
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, (tuple, list, np.ndarray)):

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 
 from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_infer.diagnose.screen import Screen, paired_statistic
+from tcbi_infer.diagnose.screen import Screen, Targets, paired_statistic
 
 DRAWS = 300
 LEVEL = 0.95
@@ -27,16 +27,19 @@ class Null:
       threshold: 95 % point of the largest statistic over all candidates, and at least that of a single t test.
       maxima: (D,) the largest statistic of each null data set.
       kinds: of motion.
+      targets: of the null data sets; `scale` (D,) by which each was multiplied.
     """
 
     threshold: float
     maxima: np.ndarray
     kinds: int
+    targets: Targets
+    scale: np.ndarray
 
     @staticmethod
     def of_no_search() -> "Null":
         """Where there was nothing to search."""
-        return Null(np.inf, np.zeros(0), 0)
+        return Null(np.inf, np.zeros(0), 0, Targets(np.zeros(0), np.zeros(0)), np.zeros(0))
 
 
 def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
@@ -85,6 +88,8 @@ def simulate_null(
     """
     kinds = problem.kind[sets]
     maxima: list[float] = []
+    parts: list[Targets] = []
+    scales: list[np.ndarray] = []
     for block in np.array_split(np.arange(draws), max(1, draws // 50)):
         count = len(block)
         data = noise_draws(problem, sets, count, rng)
@@ -92,10 +97,12 @@ def simulate_null(
         data += np.einsum("stcq,dq->dstc", nuisance.effect[sets], scatter, optimize=True)
         signs = rng.choice([-1.0, 1.0], size=(count, int(kinds.max()) + 1))[:, kinds]
         data += signs[:, :, None, None] * leftover
-        data *= screen.unit_scale(data)[:, None, None, None]
-        gains = screen.held_out(screen.targets(data))
-        maxima.extend(paired_statistic(gains).max(axis=0))
+        scales.append(screen.unit_scale(data))
+        parts.append(screen.targets(data * scales[-1][:, None, None, None]))
+        maxima.extend(paired_statistic(screen.held_out(parts[-1])).max(axis=0))
     values = np.array(maxima)
     kinds_count = len(screen.folds)
     single = float(stdtrit(max(kinds_count - 1, 1), LEVEL))
-    return Null(max(float(np.quantile(values, LEVEL)), single), values, kinds_count)
+    targets = Targets(*(np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in ("nr", "kr")))
+    threshold = max(float(np.quantile(values, LEVEL)), single)
+    return Null(threshold, values, kinds_count, targets, np.concatenate(scales))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tcbi_infer.compare.versions import Difference, Interval, intervals
+from tcbi_infer.diagnose import detectable
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis, Evidence
 from tcbi_infer.report import plots
 from tcbi_infer.report.page import Figure, Report, Section, Table
@@ -52,7 +53,8 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     d = diagnosis
     tone = {EFFECT: "warn", NOTHING_MISSING: "good"}.get(d.verdict, "neutral")
     headline = "These rollouts cannot tell" if _nothing_held_out(d) else HEADLINES[d.verdict]
-    report.add(Section(headline, verdict=d.statement, tone=tone, notes=d.claims))
+    sizes = Table(detectable.HEAD, detectable.rows(d.detectable), detectable.TITLE) if d.detectable else None
+    report.add(Section(headline, verdict=d.statement, tone=tone, notes=d.claims, table=sizes, folded=True))
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
     add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in d.errors.items()], repeated=d.floor_from_replicates)
