@@ -52,10 +52,34 @@ def test_the_table_says_of_each_parameter_whether_the_data_tell(bags, tmp_path, 
     assert "narrows with every generation" in text
 
 
+def test_few_effective_particles_tell_nothing_whatever_their_spread(bags, tmp_path, capsys) -> None:
+    assert infer(bags, tmp_path, "--particles", "10", "--generations", "1") == 0
+    text = capsys.readouterr().out
+    assert text.count("cannot say") == 3 and "fewer than 10 effective particles tell nothing" in text
+
+
+def test_the_report_shows_generations_beside_the_known_truth(bags, tmp_path, capsys) -> None:
+    page = tmp_path / "page.html"
+    assert infer(bags, tmp_path, "--truth", "gain=2", "--report", str(page), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["report"] == str(page)
+    html = page.read_text()
+    assert "Over the generations" in html and "Variance of gain" in html and "inside?" in html
+
+
+def test_a_method_to_compare_with_says_what_its_posterior_is(bags, tmp_path, capsys) -> None:
+    assert infer(bags, tmp_path, "--method", "simopt", "--set", "kl_bound=0.06") == 0
+    text = capsys.readouterr().out
+    assert "SimOpt is an optimiser" in text and "method simopt" in text
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (("--method", "magic"), "unknown method 'magic'"),
+        (("--particles", "1"), "particles: got 1, allowed is 10 or more"),
+        (("--set", "alpha=5"), "method calibrated has no setting 'alpha'; it has particles, generations"),
+        (("--truth", "gian=2"), "gain"),
+        (("--divergence", "mmd"), "method calibrated works with the divergence js alone"),
         (("--statistics", "speed"), "unknown statistic speed"),
         (("--model", "hexapod-v0"), "is of rig hexapod"),
         (("--loop", "closed"), "policy 'steps' does not exist"),

@@ -1,17 +1,19 @@
-"""How far two distributions are apart: small functions, registered by name.
+"""How far two distributions are apart: small functions by name, the user's own among them (docs/tcbi.md).
 
-Every registered function takes samples, `(n,)` of the real robot and `(N, m)` of N simulations, and returns `(N,)`
+Every function takes samples, `(n,)` of the real robot and `(N, m)` of N simulations, and returns `(N,)`
 values that are zero for equal distributions. NaN marks a sample that was not measured. `js` and `wasserstein` also
 exist on histograms (`js_binned`, `wasserstein_binned`), which is what the weights are computed from: counts of several
 rollouts can be added, so that any subset of rollouts can be judged without going back to the samples.
 """
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
 
 BINS = 20
@@ -132,15 +134,58 @@ def _finite(row: np.ndarray) -> np.ndarray:
     return row[np.isfinite(row)]
 
 
-DIVERGENCES: dict[str, Divergence] = {"js": js, "js_nearest": js_nearest, "wasserstein": wasserstein}
+def mmd(real: np.ndarray, simulated: np.ndarray, most: int = 400) -> np.ndarray:
+    """Squared maximum mean discrepancy under a Gaussian kernel (Gretton et al. 2012), between 0 and 2.
+
+    The kernel is as wide as the median distance between real samples. At most `most` samples of either side count,
+    evenly spaced in order of size, so nothing is random.
+    """
+    a = _thinned(np.sort(_finite(real)), most)
+    between = np.abs(a[:, None] - a)
+    apart = between[np.triu_indices(len(a), 1)]
+    width = float(np.median(apart)) if apart.size else 0.0
+    width = width if width > 0 else max(float(np.ptp(a)), 1e-9 * max(abs(float(a.max())), 1e-3))
+
+    def kernel(x: np.ndarray, y: np.ndarray) -> float:
+        return float(np.exp(-0.5 * ((x[:, None] - y) / width) ** 2).mean())
+
+    own = kernel(a, a)
+    rows = [_thinned(np.sort(_finite(row)), most) for row in simulated]
+    return np.array([max(own + kernel(b, b) - 2 * kernel(a, b), 0.0) if b.size else 2.0 for b in rows])
+
+
+def _thinned(values: np.ndarray, most: int) -> np.ndarray:
+    return _spread(values, most) if len(values) > most else values
+
+
+DIVERGENCES: dict[str, Divergence] = {"js": js, "js_nearest": js_nearest, "wasserstein": wasserstein, "mmd": mmd}
+
+
+@functools.cache
+def library() -> dict[str, Divergence]:
+    """Every divergence by name: the built-in ones, then the user's own."""
+    return DIVERGENCES | user_files.load_all("divergences", "DIVERGENCE", unusable, set(DIVERGENCES))
+
+
+def unusable(measure: Divergence) -> str:
+    """ "" or why a function is no divergence: tried on samples whose answer must be small, then large."""
+    if not callable(measure):
+        return "DIVERGENCE is no function"
+    real = np.linspace(0.0, 1.0, 60)
+    values = np.asarray(measure(real, np.stack([real, real + 3.0])))
+    if values.shape != (2,):
+        return f"gave shape {values.shape} for 2 simulations, must be (2,)"
+    if not np.isfinite(values).all() or not values[0] < values[1]:
+        return f"gave {values[0]:g} for equal samples and {values[1]:g} for distant ones; must be finite and grow"
+    return ""
 
 
 def divergence(name: str) -> Divergence:
-    """The registered divergence of that name.
+    """The divergence of that name.
 
     Raises:
       InferError: there is none.
     """
-    if name not in DIVERGENCES:
-        raise InferError(f"unknown divergence {name!r}; known are {', '.join(DIVERGENCES)}")
-    return DIVERGENCES[name]
+    if name not in library():
+        raise InferError(f"unknown divergence {name!r}; known are {', '.join(library())}")
+    return library()[name]

@@ -17,3 +17,13 @@ class RecordingError(InferError):
 
 class MappingError(InferError):
     """A mapping file does not describe its logs."""
+
+
+class MissingExtraError(InferError):
+    """A method needs a library that is not part of the default installation."""
+
+    def __init__(self, method: str, library: str):
+        super().__init__(
+            f"method {method} needs {library}, which is an optional extra; install it with "
+            "`.tcbi/boot/bin/uv pip install --python .venv -r requirements-baselines.in`"
+        )

@@ -1,4 +1,4 @@
-"""`./tcbi bench`: measures the product; one script of the checkout's `bench/` a benchmark."""
+"""`./tcbi bench`: measures the product; one script or folder of the checkout's `bench/` a benchmark."""
 
 import argparse
 import json
@@ -16,20 +16,35 @@ SUMMARY = "Measure the product and print each figure beside its target (docs/ben
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which one."""
     parser.add_argument("name", nargs="?", default="", help="of a benchmark; without it they are listed")
+    parser.add_argument("options", nargs="*", metavar="-- OPTION", help="a benchmark's own; -- --help lists them")
     parser.add_argument("--quick", action="store_true", help="fewer and shorter runs")
     console.add_json(parser)
-    console.add_examples(parser, "./tcbi bench", "./tcbi bench lockstep", "./tcbi bench engine --quick --json")
+    console.add_examples(
+        parser,
+        "./tcbi bench",
+        "./tcbi bench lockstep",
+        "./tcbi bench engine --quick --json",
+        "./tcbi bench hidden -- --plan bench --hidden all --seeds 400:405 --keep all.jsonl",
+        "./tcbi bench hidden -- --help",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run a script, pass its figures on. A missed target is a figure, no failure."""
-    scripts = {path.stem: path for path in sorted((checkout() / "bench").glob("*.py"))}
+    folder = checkout() / "bench"
+    scripts = {path.stem: path for path in [*folder.glob("*.py"), *(p.parent for p in folder.glob("*/__main__.py"))]}
+    scripts = dict(sorted(scripts.items()))
     if not args.name:
         console.emit({"benchmarks": list(scripts)}) if args.json else print("\n".join(scripts))
         return 0
     if args.name not in scripts:
         raise WrongCallError(f"unknown benchmark {args.name!r}; there are {', '.join(scripts)}")
-    result = json.loads(_output(scripts[args.name], args.quick))
+    options = [*(["--quick"] if args.quick else []), *args.options]
+    output = _output(scripts[args.name], options)
+    if {"-h", "--help"} & set(options):
+        print(output, end="")
+        return 0
+    result = json.loads(output)
     if args.json:
         console.emit(result)
         return 0
@@ -38,9 +53,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _output(script: Path, quick: bool) -> str:
-    command = [sys.executable, str(script), *(["--quick"] if quick else [])]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+def _output(script: Path, options: list[str]) -> str:
+    done = subprocess.run([sys.executable, str(script), *options], stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
         raise BringupError(f"{script.name} ended with status {done.returncode}; its last words are above")
     return done.stdout

@@ -20,15 +20,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi infer rollouts/* --model hexapod-v1 --json",
         "./tcbi infer rollouts/* --method paper               # Algorithm 1 as published",
         "./tcbi infer rollouts/* --generations 12             # a narrower posterior, if the data allow it",
+        "./tcbi infer rollouts/* --method simopt              # a method to compare with",
+        "./tcbi infer rollouts/* --method paper --set alpha=5 # a setting of the method's own",
     )
     console.add_bags(parser)
-    parser.add_argument("--method", default="calibrated", help="calibrated (default) or paper")
+    parser.add_argument(
+        "--method",
+        default="calibrated",
+        help="calibrated (default) or paper: TCBI; to compare with: prior, rejection, abc_smc, simopt, bayesopt, npe "
+        "(docs/baselines.md)",
+    )
     console.add_model(parser, "model version whose parameters are inferred")
-    parser.add_argument("--particles", type=_positive, help="simulated in each generation (default: 50)")
-    parser.add_argument("--generations", type=_positive, help="at most (default: calibrated 6, paper 15)")
+    parser.add_argument("--particles", type=int, help="simulated in each generation, at least 10 (default: 50)")
+    parser.add_argument("--generations", type=_positive, help="at most (default: 6, paper 15)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        type=_setting,
+        metavar="NAME=VALUE",
+        help="a setting of the method's own, such as alpha=5 of paper; may be repeated",
+    )
     parser.add_argument("--rollouts", type=_positive, help="use the first so many of the bags' rollouts (default: all)")
-    parser.add_argument("--statistics", help="comma-separated, instead of the method's own; `reward` is the ablation")
-    parser.add_argument("--divergence", default="js", help="of the paper method: js (default), js_nearest, wasserstein")
+    parser.add_argument(
+        "--statistics",
+        help="comma-separated, instead of the method's own (`reward` is the paper's ablation); +NAME adds to them",
+    )
+    parser.add_argument(
+        "--divergence", default="js", help="of the paper method: js (default), js_nearest, wasserstein, mmd"
+    )
     parser.add_argument(
         "--loop",
         choices=("auto", "open", "closed"),
@@ -45,6 +65,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--timestep", type=float, help="s, of the simulation (default: 0.01)")
     parser.add_argument("--threads", type=int, default=0, help="0 (default) for all processors")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--truth",
+        action="append",
+        default=[],
+        type=_setting,
+        metavar="NAME=VALUE",
+        help="a parameter's true value, where it is known: the report shows the error; may be repeated",
+    )
+    console.add_report(parser)
     console.add_store(parser)
     console.add_json(parser)
 
@@ -56,11 +85,20 @@ def _positive(text: str) -> int:
     return value
 
 
+def _setting(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE with a number, such as alpha=5") from None
+
+
 def run(args: argparse.Namespace) -> int:
     """Read, infer, save, print."""
     from tcbi_infer import posterior
     from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.compare.guards import guard
+    from tcbi_infer.report import Report, add_inference
     from tcbi_infer.tcbi.driver import infer
     from tcbi_infer.tcbi.method import find_method
     from tcbi_infer.tcbi.problem import Problem
@@ -71,10 +109,11 @@ def run(args: argparse.Namespace) -> int:
     for finding in guard(measurements):
         console.note(f"note: {finding}")
     model = store.load(args.model, measurements[0].rig)
+    truth = _known(args.truth, model.names)
     problem = Problem.of(
         model,
         measurements,
-        statistics=tuple(args.statistics.split(",")) if args.statistics else method.statistics,
+        statistics=_statistics(args.statistics or "", method.statistics),
         divergence_name=args.divergence,
         loop=args.loop,
         prior=args.prior,
@@ -85,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
     )
     console.note(f"{len(problem.rollout_ids)} rollouts, model {model.version}, method {method.name}")
     given = {"particles": args.particles, "generations": args.generations}
-    settings = {name: value for name, value in given.items() if value is not None}
+    settings = {**dict(args.set), **{name: value for name, value in given.items() if value is not None}}
     with console.progress("inferring", total=settings.get("generations")) as advance:
         result = infer(
             problem,
@@ -99,11 +138,30 @@ def run(args: argparse.Namespace) -> int:
     posterior.write(store.models / saved.version / "posterior.nc", result)
     for line in result.warnings:
         console.note(line)
+    report = Report(f"What {saved.version} knows", f"Posterior of {model.version}, inferred by {method.name}.")
+    add_inference(report, result, method.caveat, truth)
+    path = report.write(args.report or store.models / saved.version / "inference.html")
     if args.json:
-        console.emit(as_json(result, saved.version))
+        console.emit({**as_json(result, saved.version), "report": str(path)})
     else:
         _print(result, saved.version)
+        print(f"report: {path}")
     return 0
+
+
+def _known(truth: list[tuple[str, float]], names: tuple[str, ...]) -> dict[str, float]:
+    from tcbi_sim.errors import UnknownNameError
+
+    for name, _ in truth:
+        if name not in names:
+            raise UnknownNameError("parameter", name, names)
+    return dict(truth)
+
+
+def _statistics(given: str, own: tuple[str, ...]) -> tuple[str, ...]:
+    """Those named, after the method's own where the list begins with +."""
+    named = tuple(name.strip() for name in given.lstrip("+").split(",") if name.strip())
+    return tuple(dict.fromkeys((*own, *named))) if given.startswith("+") or not named else named
 
 
 def as_json(result: "Result", version: str) -> dict[str, Any]:
@@ -134,8 +192,19 @@ def _state(progress: "Progress", names: tuple[str, ...]) -> str:
 
 
 def _print(result: "Result", version: str) -> None:
+    from tcbi_infer.tcbi.method import find_method
+    from tcbi_infer.tcbi.result import LEAST_ESS
+
     rows = [
-        [e.name, e.unit, e.mean, e.sd, f"{e.low90:.3g} to {e.high90:.3g}", f"{1 - e.variance_ratio:.0%}", _verdict(e)]
+        [
+            e.name,
+            e.unit,
+            e.mean,
+            e.sd,
+            f"{e.low90:.3g} to {e.high90:.3g}",
+            f"{1 - e.variance_ratio:.0%}",
+            _verdict(e, result.ess >= LEAST_ESS),
+        ]
         for e in result.estimates
     ]
     columns = ["parameter", "unit", "mean", "sd", "90 % interval", "variance less than prior", "do the data tell?"]
@@ -145,9 +214,14 @@ def _print(result: "Result", version: str) -> None:
         f"{result.ess:.0f} effective particles, "
         + ("converged" if result.converged else "stopped by the number of generations")
     )
-    if result.method == "paper":
-        print("the paper's method narrows with every generation: judge it by error and coverage, not by its width")
+    if result.ess < LEAST_ESS:
+        print(f"fewer than {LEAST_ESS} effective particles tell nothing; more particles or generations are needed")
+    caveat = find_method(result.method).caveat
+    if caveat:
+        print(caveat)
 
 
-def _verdict(estimate: Any) -> str:
+def _verdict(estimate: Any, enough: bool) -> str:
+    if not enough:
+        return "cannot say"
     return "yes" if estimate.identified else "no: little more than the prior"

@@ -1,6 +1,7 @@
 """Reports that a newcomer understands without help: one HTML file, nothing to install, nothing to load."""
 
 from tcbi_infer.report.comparison import add_comparison
+from tcbi_infer.report.inference import add_inference
 from tcbi_infer.report.page import Figure, Report, Section, Table, file_name
 from tcbi_infer.report.sections import (
     add_diagnosis,
@@ -19,6 +20,7 @@ __all__ = [
     "add_diagnosis",
     "add_difference",
     "add_history",
+    "add_inference",
     "add_ladder",
     "add_version",
     "file_name",

@@ -1,4 +1,5 @@
-"""Task statistics: rollouts -> samples. One file each; every file of this folder with a `STATISTIC` is registered.
+"""Task statistics: rollouts -> samples. One file each; every file of this folder with a `STATISTIC` is registered, and
+the user's own (docs/tcbi.md).
 
 names = select(("reward", "attitude"), arrays)     # what these rollouts have, and what they lack
 samples = library()["attitude"].compute(arrays)    # (N, S, C, K)
@@ -8,6 +9,7 @@ import importlib
 import pkgutil
 from functools import cache
 
+from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics.base import RolloutArrays, Statistic, from_measurements, padded_commands
 
@@ -34,7 +36,15 @@ def library() -> dict[str, Statistic]:
         statistic = getattr(importlib.import_module(f"{__name__}.{info.name}"), "STATISTIC", None)
         if statistic is not None:
             found[statistic.name] = statistic
-    return found
+    return found | user_files.load_all("statistics", "STATISTIC", unusable, set(found))
+
+
+def unusable(statistic: Statistic) -> str:
+    """ "" or why a user's file defines no statistic; its function is checked when rollouts are there."""
+    if not isinstance(statistic, Statistic):
+        return f"STATISTIC is a {type(statistic).__name__}, must be a Statistic of tcbi_infer.statistics"
+    calls = [name for name in ("channels", "compute", "lacks") if not callable(getattr(statistic, name))]
+    return f"{calls[0]} is no function" if calls else ""
 
 
 def select(names: tuple[str, ...], arrays: RolloutArrays) -> tuple[tuple[Statistic, ...], tuple[str, ...]]:

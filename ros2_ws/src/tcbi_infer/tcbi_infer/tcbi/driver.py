@@ -11,20 +11,22 @@ import contextlib
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from tcbi_contract.errors import describe
 from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi import checkpoint
-from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result, estimates, findings
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 from tcbi_sim.engine import SimError
+
+LEAST_PARTICLES = 10  # a generation; from fewer no spread can be told
 
 
 class Progress(NamedTuple):
@@ -68,7 +70,9 @@ def infer(
       InferError: unknown method, or every simulation diverged.
     """
     chosen = find_method(method)
-    given = chosen.settings(**settings)
+    given = settings_of(chosen, settings)
+    if problem.divergence_name != "js" and not chosen.any_divergence:
+        raise InferError(f"method {method} works with the divergence js alone; leave it out, or take method paper")
     start = time.monotonic()
     place = None if folder is None else folder / run_name(problem, method, given, seed)
     loop = _Loop(problem, chosen, given, seed, place, watch)
@@ -78,6 +82,25 @@ def infer(
     if place is not None:
         (place / "state.npz").unlink(missing_ok=True)
     return result
+
+
+def settings_of(method: Method, given: Mapping[str, Any]) -> Any:
+    """The method's settings with those given.
+
+    Raises:
+      InferError: a setting that the method does not have, or a budget that is too small to tell anything.
+    """
+    known = method.settings._fields
+    unknown = sorted(set(given) - set(known))
+    if unknown:
+        raise InferError(f"method {method.name} has no setting {unknown[0]!r}; it has {', '.join(known)}")
+    defaults = method.settings()
+    values = {name: type(getattr(defaults, name))(value) for name, value in given.items()}  # 5.0 particles are 5
+    settings = method.settings(**values)
+    for name, least in (("particles", LEAST_PARTICLES), ("generations", 1)):
+        if getattr(settings, name) < least:
+            raise InferError(describe(name, getattr(settings, name), f"{least} or more"))
+    return settings
 
 
 def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
@@ -90,6 +113,7 @@ def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
         "closed": problem.closed_loop,
         "timestep": problem.timestep,
         "divergence": problem.divergence_name,
+        "bins": [b.bins for b in problem.binnings[:1]],
         "prior": None if problem.prior is None else problem.prior.mean.tolist(),
         "method": method,
         "settings": list(settings),
@@ -122,9 +146,10 @@ class _Loop:
     ):
         self.problem, self.method, self.settings, self.seed, self.place = problem, method, settings, seed, place
         self.watch = watch
+        self.real, self.statistics = method.observe(problem), method.labels(problem)
         self.dimensions = len(problem.model.names)
         self.state, self.history, self.resumed = self._begin()
-        self.last = Generation(np.nan, np.nan, np.zeros(len(problem.observed.statistics)), {})
+        self.last = Generation(np.nan, np.nan, np.zeros(len(self.statistics)), {})
         self.begun = time.monotonic()
         self.here = 0  # generations run by this process
 
@@ -136,7 +161,7 @@ class _Loop:
             if state is not None and len(history) == state.generation:
                 return state, history, state.generation > 0
         rng = np.random.default_rng([self.seed, 0])
-        return self.method.init(rng, self.dimensions, self.settings), [], False
+        return self.method.init(rng, self.dimensions, self.real, self.settings), [], False
 
     def _read_history(self) -> list[dict[str, Any]]:
         assert self.place is not None
@@ -150,9 +175,7 @@ class _Loop:
         while not self.method.finished(self.state, self.settings):
             rng = np.random.default_rng([self.seed, self.state.generation + 1])
             self._tell(0.0)
-            self.state, self.last = self.method.step(
-                rng, self.state, self._simulate, self.problem.observed, self.settings
-            )
+            self.state, self.last = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
             self.here += 1
             self._record()
             if self.place is not None:
@@ -160,15 +183,15 @@ class _Loop:
                 checkpoint.save(self.place / "state.npz", self.state)
         self._tell(1.0)
 
-    def _simulate(self, unit: np.ndarray) -> Features:
+    def _simulate(self, unit: np.ndarray) -> Any:
         try:
-            return self.problem.simulate(unit, self._tell)
+            return self.problem.simulate(unit, self._tell, self.method.view)
         except SimError as e:
             raise InferError(f"the simulation cannot run these rollouts: {e}") from e
 
     def _posterior(self) -> tuple[np.ndarray, np.ndarray]:
         """Particles (M, P) in the parameters' unit cube, and their log-weights (M,)."""
-        cube, log_weights = self.method.posterior(self.state)
+        cube, log_weights = self.method.posterior(self.state, self.settings)
         return self.problem.unit(cube), log_weights
 
     def _record(self) -> None:
@@ -219,14 +242,14 @@ class _Loop:
             raise InferError("no particle has any weight: every simulation diverged")
         unit, log_weights = unit[kept], np.log(np.maximum(normalised(log_weights[kept]), 1e-300))
         last = self._last_generation()
-        lines = findings(
-            model.parameters, unit, log_weights, problem.observed.statistics, last, bool(self.state.converged)
-        )
+        known = None if problem.prior is None else problem.prior.draws()
+        lines = findings(model.parameters, unit, log_weights, self.statistics, last, bool(self.state.converged))
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = self.method.simulations(self.state, self.settings) * len(problem.rollout_ids)
         return Result(
-            model, self.method.name, problem.task, problem.observed.statistics, problem.rollout_ids, unit, log_weights,
-            estimates(model.parameters, unit, log_weights, self.seed), float(1 / np.sum(np.exp(2 * log_weights))),
+            model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
+            estimates(model.parameters, unit, log_weights, self.seed, known),
+            float(1 / np.sum(np.exp(2 * log_weights))),
             simulated, seconds, tuple(self.history), bool(self.state.converged), problem.closed_loop,
             (*problem.warnings, *resumed, *lines),
         )  # fmt: skip

@@ -12,6 +12,7 @@ import numpy as np
 from tcbi_infer.divergence import Binning, js_binned
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, Statistic
+from tcbi_sim.user_effects import told
 
 
 class Features(NamedTuple):
@@ -45,9 +46,13 @@ def samples(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
     """(N, S, C, K) samples, checked.
 
     Raises:
-      InferError: the statistic is infinite, or its shape is not what it promised.
+      InferError: the statistic fails, or its shape is not what it promised.
     """
-    values = statistic.compute(arrays)
+    try:
+        values = np.asarray(statistic.compute(arrays))
+    except Exception as e:  # it may be the user's code
+        file = getattr(getattr(statistic.compute, "__code__", None), "co_filename", statistic.name)
+        raise InferError(f"statistic {statistic.name} fails: {told(e, file)}") from e
     expected = (*arrays.count, len(statistic.channels(arrays)))
     if values.ndim != 4 or values.shape[:3] != expected:
         raise InferError(f"statistic {statistic.name} gave shape {values.shape}, must be {expected} and its samples")

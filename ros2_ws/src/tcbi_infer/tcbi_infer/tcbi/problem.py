@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, divergences, samples
-from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior
+from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
 from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, sample_rate, sensor_noise
 from tcbi_policy.artefact import GAIT_PREFIX, find_policy
 from tcbi_policy.errors import PolicyError
@@ -71,6 +72,7 @@ class Problem:
         timestep: float | None = None,
         threads: int = 0,
         seed: int = 0,
+        bins: int = BINS,
     ) -> "Problem":
         """Check the rollouts and prepare them.
 
@@ -86,6 +88,7 @@ class Problem:
           timestep: s of the simulation; 0.01, or one sample interval if that is shorter.
           threads: 0 for all processors.
           seed: of the simulated sensors' noise.
+          bins: of each histogram, the two tails among them.
 
         Raises:
           InferError: the rollouts do not allow an inference.
@@ -100,6 +103,7 @@ class Problem:
                 f"{len(twice)} rollouts, {twice[0]} first, made the distribution of {model.version} already and would "
                 "count twice; leave them out, or take the flat prior"
             )
+        known, warnings = Prior.of(model) if prior == MODEL else None, [*warnings, *about(model, prior)]
         controllers, said = find_controllers(usable, loop, policies)
         rate = sample_rate(model, usable)
         groups = grouped(usable, rate, by_policy=bool(controllers))
@@ -107,7 +111,7 @@ class Problem:
         parts = [[samples(statistic, g.arrays) for statistic in kept] for g in groups]
         names, owner, pooled = _channels(kept, groups, parts)
         used = [i for i, values in enumerate(pooled) if values.size]
-        binnings = tuple(Binning.of(pooled[i], BINS) for i in used)
+        binnings = tuple(Binning.of(pooled[i], bins) for i in used)
         blocks = blocks_for(len(usable))
         counts = _counts(parts, [g.arrays.count for g in groups], used, list(binnings), blocks)[0]
         owner = owner[used]
@@ -123,7 +127,7 @@ class Problem:
             binnings, tuple(pooled[i] for i in used), blocks, sensor_noise(usable, load_rig(model.rig).noise),
             timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
             (*warnings, said, *left_out, *_silent(names, used)),
-            Prior.of(model) if prior == MODEL else None,
+            known,
         )  # fmt: skip
 
     @property
@@ -145,30 +149,33 @@ class Problem:
         """(N, P) where the prior is uniform -> (N, P) in the parameters' unit cube."""
         return cube if self.prior is None else self.prior.unit(cube)
 
-    def simulate(self, cube: np.ndarray, progress: Callable[[float], None] | None = None) -> Features:
-        """Features of (N, P) particles in the cube where the prior is uniform; none depends on the others.
+    def simulate(
+        self, cube: np.ndarray, progress: Callable[[float], None] | None = None, view: "View | None" = None
+    ) -> Any:
+        """What a method sees of (N, P) particles in the cube where the prior is uniform; none depends on the others.
 
         Args:
           cube: (N, P).
           progress: called with the share done.
+          view: what is kept of the rollouts; `task_features` by default.
         """
+        seen = view or task_features
         unit = self.unit(cube)
         size = sum(len(g.measurements) * len(g.time) for g in self.groups) * (
             len(load_rig(self.model.rig).joint_names) + 20
         )
         step = max(1, int(CHUNK_VALUES / size))
-        parts = []
+        features = None
         for begin in range(0, len(unit), step):
-            parts.append(self._simulate(unit[begin : begin + step]))
+            part = seen(self, *self._rollouts(unit[begin : begin + step]))
+            features = part if features is None else features.join(part)
             if progress:
                 progress(min(1.0, (begin + step) / len(unit)))
-        features = parts[0]
-        for part in parts[1:]:
-            features = features.join(part)
         return features
 
-    def _simulate(self, unit: np.ndarray) -> Features:
-        parts: list[list[np.ndarray]] = []
+    def _rollouts(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
+        """Simulated rollouts of each group, and (N,) whether none of a particle's diverged."""
+        groups: list[RolloutArrays] = []
         valid = np.ones(len(unit), bool)
         rngs = [np.random.default_rng([self.seed, zlib.crc32(np.ascontiguousarray(row).tobytes())]) for row in unit]
         for group, controller in zip(self.groups, self.controllers, strict=True):
@@ -183,23 +190,30 @@ class Problem:
                 threads=self.threads,
             )
             valid &= ~rollouts.diverged.any(axis=1)
-            arrays = with_noise(as_arrays(rollouts, group, controller is not None), self.noise, rngs)
-            parts.append([samples(statistic, arrays) for statistic in self.statistics])
-        sizes = [(len(unit), len(g.measurements)) for g in self.groups]
-        used = self._used()
-        counts = _counts(parts, sizes, used, list(self.binnings), self.blocks)
-        return Features(counts, self._divergence(counts, parts, used), _mean_reward(self.statistics, parts), valid)
+            groups.append(with_noise(as_arrays(rollouts, group, controller is not None), self.noise, rngs))
+        return groups, valid
 
-    def _used(self) -> list[int]:
-        names, _, _ = _channels(self.statistics, list(self.groups), None)
-        return [names.index(name) for name in self.observed.channels]
 
-    def _divergence(self, counts: np.ndarray, parts: list[list[np.ndarray]], used: list[int]) -> np.ndarray:
-        if self.divergence_name == "js":  # equal to pooling samples, and the counts are there already
-            return divergences(self.observed.counts, counts)
-        pooled = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in _by_channel(parts)]
-        measure = divergence(self.divergence_name)
-        return np.stack([measure(real, pooled[i]) for real, i in zip(self.real_samples, used, strict=True)], axis=-1)
+# What a method keeps of simulated rollouts: one `RolloutArrays` a group, (N,) validity -> something with `join`.
+View = Callable[[Problem, list[RolloutArrays], np.ndarray], Any]
+
+
+def task_features(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> Features:
+    """The view of TCBI: histograms of the task's statistics."""
+    parts = [[samples(statistic, arrays) for statistic in problem.statistics] for arrays in rollouts]
+    names, _, _ = _channels(problem.statistics, list(problem.groups), None)
+    used = [names.index(name) for name in problem.observed.channels]
+    counts = _counts(parts, [arrays.count for arrays in rollouts], used, list(problem.binnings), problem.blocks)
+    divergence = _divergence(problem, counts, parts, used)
+    return Features(counts, divergence, _mean_reward(problem.statistics, parts), valid)
+
+
+def _divergence(problem: Problem, counts: np.ndarray, parts: list[list[np.ndarray]], used: list[int]) -> np.ndarray:
+    if problem.divergence_name == "js":  # equal to pooling samples, and the counts are there already
+        return divergences(problem.observed.counts, counts)
+    pooled = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in _by_channel(parts)]
+    measure = divergence(problem.divergence_name)
+    return np.stack([measure(real, pooled[i]) for real, i in zip(problem.real_samples, used, strict=True)], axis=-1)
 
 
 def find_controllers(
@@ -317,7 +331,7 @@ def _counts(
 ) -> np.ndarray:
     """(N, U, C, B) float32 counts, the units of all groups in a row."""
     total = sum(s for _, s in sizes) * blocks
-    counts = np.empty((sizes[0][0], total, len(used), BINS), np.float32)
+    counts = np.empty((sizes[0][0], total, len(used), binnings[0].bins), np.float32)
     channels = _by_channel(parts)
     for c, (index, binning) in enumerate(zip(used, binnings, strict=True)):
         rows = [binned(values[:, :, None], [binning], blocks)[:, :, 0] for values in channels[index]]

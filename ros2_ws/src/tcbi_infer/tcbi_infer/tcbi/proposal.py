@@ -105,14 +105,15 @@ def log_density(proposal: Proposal, z: np.ndarray) -> np.ndarray:
     if first:
         parts.append(np.log(first) + log_prior(z))
     if second:
-        parts.append(np.log(second) + _log_kernels(z, proposal.centers, proposal.weights, proposal.covariance))
+        parts.append(np.log(second) + log_kernels(z, proposal.centers, proposal.weights, proposal.covariance))
     if third:
         mean = proposal.normal_mean[None]
-        parts.append(np.log(third) + _log_kernels(z, mean, np.ones(1), proposal.normal_covariance))
+        parts.append(np.log(third) + log_kernels(z, mean, np.ones(1), proposal.normal_covariance))
     return logsumexp(np.stack(parts), axis=0)
 
 
-def _log_kernels(z: np.ndarray, centers: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def log_kernels(z: np.ndarray, centers: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(M,) log-density at (M, P) of normal kernels on (n, P) centers with (n,) weights, constant left out as above."""
     cholesky = np.linalg.cholesky(covariance)
     whitened = np.linalg.solve(cholesky, (z[:, None] - centers).reshape(-1, z.shape[1]).T).T
     squares = np.sum(whitened**2, axis=-1).reshape(len(z), -1)

@@ -13,6 +13,7 @@ from tcbi_sim.parameter import Parameter
 
 FLAT_VARIANCE = 1.0 / 12.0  # of a flat prior on [0, 1]
 IDENTIFIED_BELOW = 0.5  # of the prior's variance, with 95 % confidence
+LEAST_ESS = 10  # effective particles, below which nothing is said about what the data tell
 EDGE = 0.02  # share of the range that counts as a bound
 PILED = 0.5  # share of the posterior at a bound that is worth a warning
 MISFIT = 4.0  # remaining divergence over noise that is worth a warning
@@ -98,19 +99,25 @@ class Result:
 
 
 def estimates(
-    parameters: Sequence[Parameter], unit: np.ndarray, log_weights: np.ndarray, seed: int = 0
+    parameters: Sequence[Parameter],
+    unit: np.ndarray,
+    log_weights: np.ndarray,
+    seed: int = 0,
+    prior: np.ndarray | None = None,
 ) -> tuple[Estimate, ...]:
-    """The table, from (M, P) particles in [0, 1] and (M,) log-weights."""
+    """The table, from (M, P) particles in [0, 1] and (M,) log-weights; `prior` (N, P) draws of it, None for flat."""
     weights = normalised(log_weights)
+    enough = effective_sample_size(weights) >= LEAST_ESS
+    before = np.full(len(parameters), FLAT_VARIANCE) if prior is None else prior.var(axis=0)
     _, variance = mean_and_variance(unit, weights)
     high = _variance_bound(unit, weights, seed)
-    grid = (np.arange(1000) + 0.5) / 1000
+    grid = np.tile((np.arange(1000)[:, None] + 0.5) / 1000, len(parameters)) if prior is None else prior
     rows = []
     for i, p in enumerate(parameters):
         values = p.from_unit(unit[:, i])
         mean, spread = mean_and_variance(values[:, None], weights)
         low90, high90 = quantiles(values[:, None], weights, [0.05, 0.95])[:, 0]
-        ratio, ratio_high = float(variance[i] / FLAT_VARIANCE), float(high[i] / FLAT_VARIANCE)
+        ratio, ratio_high = float(variance[i] / before[i]), float(high[i] / before[i])
         rows.append(
             Estimate(
                 p.name,
@@ -119,10 +126,10 @@ def estimates(
                 float(np.sqrt(spread[0])),
                 float(low90),
                 float(high90),
-                float(p.from_unit(grid).std()),
+                float(p.from_unit(grid[:, i]).std()),
                 ratio,
                 ratio_high,
-                ratio_high < IDENTIFIED_BELOW,
+                bool(enough and ratio_high < IDENTIFIED_BELOW),
             )
         )
     return tuple(rows)

@@ -1,0 +1,146 @@
+"""What many inferences of known truths say together: errors, coverage, calibration, and TCBI against the others."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.stats import kstest
+
+Result = dict[str, Any]
+Row = dict[str, Any]
+TARGET_ERROR = {"friction": 0.06, "mass": 0.08, "gain": 0.10}  # walking, 20 rollouts
+TARGET_COVERAGE = (0.85, 0.95)
+FLAT_SD = 12**-0.5  # of a flat prior, in shares of its range
+RESAMPLES = 2000
+TCBI = "calibrated"
+
+
+def figures(found: list[Result]) -> list[Row]:
+    """Rows of every group of equal cases, then TCBI against each other method where both had the same truths."""
+    rows, groups = [], grouped(found)
+    for name, group in groups.items():
+        rows += _of(name, group)
+    for name, group in groups.items():
+        case = group[0]["case"]
+        own = groups.get(title({**case, "method": TCBI}), [])
+        if case["method"] != TCBI and own:
+            rows += _against(name, group, own)
+    return rows
+
+
+def grouped(found: list[Result]) -> dict[str, list[Result]]:
+    """By everything but the truth's number."""
+    groups: dict[str, list[Result]] = {}
+    for result in found:
+        groups.setdefault(title(result["case"]), []).append(result)
+    return groups
+
+
+def title(case: dict[str, Any]) -> str:
+    """What a group is called."""
+    words = [case["source"], case["task"], f"{case['rollouts']} x {case['duration']:g} s"]
+    words.append(f"{case['particles']} x {case['generations']}")
+    words += [f"noise {case['noise']:g}"] if case["noise"] else []
+    words += [f"{case['bins']} bins"] if case["bins"] != 20 else []
+    words += [f"{name}={value:g}" for name, value in case["settings"]]
+    return f"{', '.join(words)}: {case['method']}"
+
+
+def _of(name: str, group: list[Result]) -> list[Row]:
+    n, rows = len(group), []
+    case = group[0]["case"]
+    aimed = case["method"] == TCBI and case["task"] == "forward"
+    for i, p in enumerate(group[0]["parameters"]):
+        mine = [r["parameters"][i] for r in group]
+        value, unit = error(mine)
+        target = TARGET_ERROR.get(p["name"]) if aimed else None
+        rows.append(figure(f"{name}: RMSE of {p['name']}, {n} truths", value, unit, target, lambda v, t: v <= t))
+        rows.append(figure(f"{name}: error of {p['name']} over the prior's", relative_error(mine), "1"))
+    if case["method"] in ("prior", "bayesopt"):
+        return rows
+    every = [p for r in group for p in r["parameters"]]
+    rows.append(
+        figure(
+            f"{name}: 90 % intervals that hold the truth, of {len(every)}",
+            coverage(every),
+            "1",
+            TARGET_COVERAGE,
+            lambda v, t: t[0] <= v <= t[1],
+        )
+    )
+    rows += [
+        figure(
+            f"{name}: 90 % intervals of {group[0]['parameters'][i]['name']} that hold the truth, of {n}",
+            coverage([r["parameters"][i] for r in group]),
+            "1",
+        )
+        for i in range(len(group[0]["parameters"]))
+    ]
+    ranks = [p["rank"] for p in every]
+    rows.append(figure(f"{name}: p-value of uniform ranks", float(kstest(ranks, "uniform").pvalue), "1"))
+    rows.append(
+        figure(
+            f"{name}: width of posteriors over the prior's",
+            float(np.mean([p["unit_sd"] for p in every])) / FLAT_SD,
+            "1",
+        )
+    )
+    told = float(np.mean([p["identified"] for p in every]))
+    rows.append(figure(f"{name}: parameters that the data are said to tell, of {len(every)}", told, "1"))
+    rows.append(figure(f"{name}: processor time", float(np.mean([r["cpu_s"] for r in group])), "s"))
+    return rows
+
+
+def _against(name: str, other: list[Result], own: list[Result]) -> list[Row]:
+    """Ratio of TCBI's root mean squared error to the other's on truths that both had, with a bootstrap interval."""
+    theirs = {r["case"]["truth"]: squares(r) for r in other}
+    pairs = np.array([(squares(r), theirs[r["case"]["truth"]]) for r in own if r["case"]["truth"] in theirs])
+    if len(pairs) < 2:
+        return []
+    picked = np.random.default_rng(0).integers(len(pairs), size=(RESAMPLES, len(pairs)))
+    sums = pairs[picked].sum(axis=1)
+    ratios = np.sqrt(sums[:, 0] / np.maximum(sums[:, 1], 1e-12))
+    low, high = np.quantile(ratios, [0.05, 0.95])
+    value = float(np.sqrt(pairs[:, 0].sum() / max(pairs[:, 1].sum(), 1e-12)))
+    text = f"{name}: {TCBI}'s error over its, {len(pairs)} truths, 90 % {low:.2f} to {high:.2f}"
+    return [figure(text, value, "1", 1.0, lambda v, t: v < t)]
+
+
+def squares(result: Result) -> float:
+    """Mean squared error of all parameters, in shares of the priors' ranges."""
+    return float(np.mean([p["unit_error"] ** 2 for p in result["parameters"]]))
+
+
+def error(mine: list[dict[str, Any]]) -> tuple[float, str]:
+    """Root mean squared error; relative for the gain, whose scale is logarithmic."""
+    truth, center = (np.array([p[key] for p in mine]) for key in ("truth", "center"))
+    if mine[0]["name"] == "gain":
+        return float(np.sqrt(np.mean(np.log(center / truth) ** 2))), "relative"
+    return float(np.sqrt(np.mean((center - truth) ** 2))), "kg" if mine[0]["name"] == "mass" else "1"
+
+
+def relative_error(mine: list[dict[str, Any]]) -> float:
+    """Root mean squared error over that of the prior's mean on the same truths."""
+    errors = np.array([p["unit_error"] for p in mine])
+    truths = np.array([p["unit_truth"] for p in mine])
+    return float(np.sqrt(np.mean(errors**2) / max(np.mean((truths - 0.5) ** 2), 1e-12)))
+
+
+def coverage(mine: list[dict[str, Any]]) -> float:
+    """Share of 90 % intervals that hold the truth."""
+    return float(np.mean([p["low90"] <= p["truth"] <= p["high90"] for p in mine]))
+
+
+def figure(
+    name: str, value: float, unit: str, target: Any = None, meets: Callable[[Any, Any], bool] | None = None
+) -> Row:
+    """One measured figure beside its target, if it has one."""
+    met = None if target is None or meets is None else bool(meets(value, target))
+    shown = " to ".join(f"{t:g}" for t in target) if isinstance(target, tuple) else target
+    return {
+        "name": name,
+        "value": round(value, 3) if np.isfinite(value) else None,
+        "unit": unit,
+        "target": shown,
+        "met": met,
+    }

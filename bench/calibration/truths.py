@@ -1,0 +1,77 @@
+"""Rollouts whose parameters are known: of the model itself, or of an emulated robot that the model never saw."""
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from tcbi_bringup.emulated_robot.as_measurement import measure
+from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
+from tcbi_infer.collection import Request, scenario_of
+from tcbi_policy.artefact import find_policy
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Measurement, quaternion_from_rpy
+from tcbi_sim.model import base_model
+from tcbi_sim.rig import Noise
+from tcbi_sim.rigs import load_rig
+from tcbi_sim.sensing import multiply
+
+RIG = "hexapod"
+FINE_STEP = 0.002  # s, of the model as truth; an inference takes steps of 0.01 s
+POLICIES = {"balance": ("balance", "gait:steps"), "forward": ("forward", "gait:tripod")}  # in turn
+
+
+@functools.lru_cache(maxsize=2)
+def recorded(
+    source: str, task: str, truth: int, rollouts: int, duration: float
+) -> tuple[np.ndarray, list[Measurement]]:
+    """Parameters (P,) and rollouts; half of them by the trained policy of the task, half by a scripted gait.
+
+    Args:
+      source: "model" or "robot".
+      task: as registered.
+      truth: its number.
+      rollouts: how many.
+      duration: s of each.
+    """
+    policies = [find_policy(name) for name in POLICIES[task]]
+    scenarios = [scenario_of(Request(task, 1, 1000 * truth + i, duration_s=duration), 0) for i in range(rollouts)]
+    model, found = base_model(RIG), []
+    if source == "robot":
+        robot = EmulatedRobot(5000 + truth)
+        known = robot.specimen.truth()
+        values = np.array([float(str(known[name])) for name in model.names])
+        for i, scenario in enumerate(scenarios):
+            rollout = measure(robot, scenario, policies[i % 2], trial=i, policy_id=policies[i % 2].policy_id)
+            found.append(dataclasses.replace(rollout, rollout_id=f"robot-{truth}-{i}"))
+        return values, found
+    rng = np.random.default_rng([truth, 7])
+    values = model.from_unit(rng.random((1, len(model.names))))
+    for which, policy in enumerate(policies):
+        mine = scenarios[which::2]
+        out = simulate(model, values, mine, controller=policy, timestep=FINE_STEP)
+        found += [
+            noisy(out.measurement(0, s, f"model-{truth}-{which}-{s}", policy.policy_id), load_rig(RIG).noise, rng)
+            for s in range(len(mine))
+        ]
+    return values[0], found
+
+
+def with_state_noise(rollouts: list[Measurement], sigma: float, seed: int) -> list[Measurement]:
+    """Equation 14: white noise of standard deviation sigma (rad) on the state, joint angles and attitude."""
+    if sigma == 0:
+        return rollouts
+    rng = np.random.default_rng([seed, 14])
+    return [noisy(m, Noise(joint_position=sigma, attitude=sigma, angular_velocity=0.0), rng) for m in rollouts]
+
+
+def noisy(m: Measurement, noise: Noise, rng: np.random.Generator) -> Measurement:
+    """A measurement with white noise on its readings."""
+    attitude, rates = m.attitude, m.angular_velocity
+    if attitude is not None and noise.attitude > 0:
+        roll, pitch = noise.attitude * rng.standard_normal((2, len(attitude)))
+        attitude = multiply(attitude, quaternion_from_rpy(roll, pitch, np.zeros_like(roll)))
+    if rates is not None:
+        rates = rates + noise.angular_velocity * rng.standard_normal(rates.shape)
+    joints = m.joint_position + noise.joint_position * rng.standard_normal(m.joint_position.shape)
+    return dataclasses.replace(m, joint_position=joints, attitude=attitude, angular_velocity=rates)

@@ -1,0 +1,83 @@
+"""A user's own statistics and divergences: found in a folder, used by name, and never able to break the rest."""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tcbi_cases import BENCH_TRUTH, bench_rollouts
+
+from tcbi_infer import divergence, statistics
+from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi.problem import Problem
+
+SPEED = '''
+"""Speed of every joint."""
+import numpy as np
+from tcbi_infer.statistics import Statistic
+
+def speed(arrays):
+    return np.swapaxes(np.gradient(arrays.joint_position, arrays.time, axis=2), -1, -2)
+
+STATISTIC = Statistic("speed", "rad/s", "speed of each joint", (), lambda arrays: arrays.joint_names, speed)
+'''
+MEANS = """
+import numpy as np
+
+def DIVERGENCE(real, simulated):
+    return np.abs(np.nanmean(simulated, axis=1) - np.nanmean(real))
+"""
+
+
+@pytest.fixture
+def folders(tmp_path: Path, monkeypatch) -> Iterator[Path]:
+    for kind in ("statistics", "divergences"):
+        (tmp_path / kind).mkdir()
+        monkeypatch.setenv(f"TCBI_{kind.upper()}", str(tmp_path / kind))
+    clear()
+    yield tmp_path
+    clear()
+
+
+def clear() -> None:
+    statistics.library.cache_clear()
+    divergence.library.cache_clear()
+
+
+def test_a_statistic_and_a_divergence_in_a_file_are_used_by_name(folders: Path) -> None:
+    (folders / "statistics" / "speed.py").write_text(SPEED)
+    (folders / "divergences" / "means.py").write_text(MEANS)
+    model, measurements = bench_rollouts(count=4)
+    problem = Problem.of(model, measurements, statistics=("speed",), divergence_name="means", timestep=0.01)
+    unit = np.array([BENCH_TRUTH, (0.9, *BENCH_TRUTH[1:])])
+    assert problem.observed.channels == ("speed/joint",) or problem.observed.statistics == ("speed",)
+    assert problem.simulate(unit).divergence.shape == (2, 1)
+    assert {"js", "mmd", "means"} <= set(divergence.library())
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "text", "said"),
+    [
+        ("statistics", "broken", "def (", "line 1"),
+        ("statistics", "empty", "x = 1", "defines no STATISTIC"),
+        ("statistics", "wrong", "STATISTIC = 3", "must be a Statistic"),
+        ("statistics", "reward", SPEED, "the name 'reward' is taken already"),
+        ("statistics", "fast", SPEED, "call the file speed.py"),
+        ("divergences", "flat", "def DIVERGENCE(r, s): return 0 * s[:, 0]", "must be finite and grow"),
+        ("divergences", "shape", "def DIVERGENCE(r, s): return 1.0", "gave shape ()"),
+        ("divergences", "fails", "def DIVERGENCE(r, s): return 1 / 0", "line 1: ZeroDivisionError"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_left_out_with_a_line(folders, caplog, kind, name, text, said) -> None:
+    (folders / kind / f"{name}.py").write_text(text)
+    with caplog.at_level(logging.WARNING):
+        known = statistics.library() if kind == "statistics" else divergence.library()
+    assert len(known) == (6 if kind == "statistics" else 4)
+    assert len(caplog.records) == 1 and said in caplog.records[0].getMessage()
+
+
+def test_a_users_statistic_that_fails_on_rollouts_is_named_with_its_line(folders: Path) -> None:
+    (folders / "statistics" / "speed.py").write_text(SPEED.replace("axis=2", "axis=9"))
+    with pytest.raises(InferError, match=r"statistic speed fails: line 7: .*axis 9"):
+        Problem.of(*bench_rollouts(count=3), statistics=("speed",))
