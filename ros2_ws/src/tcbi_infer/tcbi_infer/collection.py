@@ -11,7 +11,7 @@ import numpy as np
 from tcbi_contract.names import CONTROL_PERIOD_S, SLOPE_LIMIT
 from tcbi_infer.errors import RecordingError
 from tcbi_sim.measurement import Scenario
-from tcbi_sim.tasks import TASKS, find_task
+from tcbi_sim.tasks import find_task, tasks
 
 PERIOD_NS = round(CONTROL_PERIOD_S * 1e9)
 MOST_ROLLOUTS = 10_000
@@ -36,8 +36,8 @@ class Request:
 def check(request: Request) -> None:
     """Raise RecordingError that names everything wrong with a request."""
     faults = []
-    if request.task not in TASKS:
-        faults.append(f"task: got {request.task!r}, allowed is one of {', '.join(TASKS)}")
+    if request.task not in tasks():
+        faults.append(f"task: got {request.task!r}, allowed is one of {', '.join(tasks())}")
     if not 1 <= request.number <= MOST_ROLLOUTS:
         faults.append(f"number: got {request.number}, allowed is 1 to {MOST_ROLLOUTS}")
     if not (request.duration_s == 0 or 0.2 <= request.duration_s <= LONGEST_S):

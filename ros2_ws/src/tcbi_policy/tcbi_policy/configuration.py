@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from tcbi_contract.errors import describe
 from tcbi_policy.errors import TrainingError
+from tcbi_sim.tasks import tasks
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class TrainingConfig:
     batch_size: int = 256
     gamma: float = 0.8
     layers: tuple[int, ...] = (256, 256)
-    reward_scale: float = 1e-2  # of what the algorithm sees
+    reward_scale: float = 1e-2  # of what the algorithm sees; 0 to measure it: one over the spread of a step's reward
     epochs: int = 10  # PPO: passes over each set of episodes
     gae_lambda: float = 0.9  # PPO
     noise: float = 0.4  # PPO: standard deviation at the start, before the tanh
@@ -73,7 +74,7 @@ class TrainingConfig:
         faults += [describe(name, getattr(self, name), "more than 0") for name in positive if getattr(self, name) <= 0]
         if not 0.0 < self.gamma < 1.0:
             faults.append(describe("gamma", self.gamma, "between 0 and 1"))
-        for name in ("observation_noise", "budget_s"):
+        for name in ("observation_noise", "budget_s", "reward_scale"):
             if not getattr(self, name) >= 0:
                 faults.append(describe(name, getattr(self, name), "0 or more"))
         if not 0.0 < self.effect_share <= 1.0:
@@ -113,13 +114,17 @@ PRESETS: dict[str, dict[str, TrainingConfig]] = {
 
 
 def preset(name: str, task: str) -> TrainingConfig:
-    """A preset for a task.
+    """A preset for a task; a user's own task is trained as balance is, with as many episodes.
 
     Raises:
       TrainingError: there is none of this name, or none for this task.
     """
     if name not in PRESETS:
         raise TrainingError(describe("preset", name, "one of " + ", ".join(PRESETS)))
-    if task not in PRESETS[name]:
-        raise TrainingError(describe(f"task for preset {name}", task, "one of " + ", ".join(PRESETS[name])))
-    return PRESETS[name][task]
+    if task in PRESETS[name]:
+        return PRESETS[name][task]
+    if task not in tasks():
+        raise TrainingError(describe(f"task for preset {name}", task, "one of " + ", ".join(tasks())))
+    like = PRESETS[name]["balance"]
+    longer = tasks()[task].duration / tasks()["balance"].duration
+    return dataclasses.replace(like, task=task, reward_scale=0.0, steps=round(like.steps * longer))

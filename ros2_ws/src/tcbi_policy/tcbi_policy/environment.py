@@ -28,7 +28,7 @@ from tcbi_sim.engine import Simulator
 from tcbi_sim.measurement import Scenario, observation, roll_pitch_yaw
 from tcbi_sim.model import Model, base_model
 from tcbi_sim.sensing import Samples
-from tcbi_sim.tasks import TASKS, find_task
+from tcbi_sim.tasks import find_task, tasks
 
 TIMESTEP_S = 0.01  # implicitfast with the elliptic cone follows finer steps within 0.15 degrees
 SQUASH_BOUND = 3.0  # tanh(3) is 0.995
@@ -196,7 +196,7 @@ class HexapodEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 def register() -> None:
     """Make every task known to `gymnasium.make` and `make_vec`, as `tcbi/<Task>-v0`."""
-    for task in TASKS:
+    for task in tasks():
         name = f"tcbi/{task.capitalize()}-v0"
         if name not in gymnasium.registry:
             gymnasium.register(

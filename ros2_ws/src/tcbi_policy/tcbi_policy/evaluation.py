@@ -79,6 +79,15 @@ def evaluate(
     return Evaluation(*(np.where(lost, np.nan, values) for values in (returns, *ends)))
 
 
+def step_spread(actor: Actor, model: Model, conditions: Conditions, timestep: float, threads: int = 0) -> float:
+    """Standard deviation of a control step's reward under a policy."""
+    out = simulate(
+        model, conditions.parameters, conditions.scenarios, controller=actor, pairing="zip",
+        timestep=timestep, threads=threads,
+    )  # fmt: skip
+    return float(np.nanstd(simulated_rewards(out)))
+
+
 @dataclass(frozen=True)
 class Network:
     """A bare network as a controller, while it is in training."""

@@ -18,8 +18,12 @@ The weights are Table 2 of the paper; it names the three terms (section 3) witho
 - The cost is on the change of the targets, not on their size: standing on a slope with bent legs is then free, as it
   must be for a robot that is asked to stand level there.
 - Balance has no distance term: at 90000 per metre, creeping downhill would pay more than standing level.
+
+A reward is a tuple of terms, each a weight times a quantity of the control step. A user's own task brings its terms in
+its file (docs/policies.md): the ones below, or new ones.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,32 +33,28 @@ from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_policy.errors import RewardError
 from tcbi_sim.engine import SimulatedRollouts
 from tcbi_sim.measurement import Measurement, roll_pitch_yaw
+from tcbi_sim.tasks import find_task, tasks
 
 
 @dataclass(frozen=True)
-class RewardWeights:
-    """What one unit of each term is worth."""
+class Steps:
+    """What a robot can measure of K control steps, over any leading axes."""
 
-    distance: float  # per m of progress along the heading at the start
-    attitude: float  # per rad of attitude error removed
-    action: float  # per rad^2 of mean squared change of the joint targets
-
-
-WEIGHTS = {
-    "balance": RewardWeights(distance=0.0, attitude=9000.0, action=-600.0),
-    "forward": RewardWeights(distance=90000.0, attitude=9000.0, action=-600.0),
-}
+    attitude: np.ndarray  # (..., K + 1, 4) base in world, w x y z, at the ticks and at the end of the last step
+    progress: np.ndarray | None  # (..., K + 1) m along the heading at the start; None where nothing measures it
+    action: np.ndarray  # (..., K, J) rad, the joint targets
+    before: np.ndarray  # (..., K, J) rad, the targets of the step before; the posture at the start in the first
 
 
-def weights_of(task: str) -> RewardWeights:
-    """The weights of a task.
+@dataclass(frozen=True)
+class Term:
+    """One term of a reward: weight times a quantity."""
 
-    Raises:
-      RewardError: the task has none.
-    """
-    if task not in WEIGHTS:
-        raise RewardError(describe("task without a reward", task, "one of " + ", ".join(WEIGHTS)))
-    return WEIGHTS[task]
+    name: str
+    weight: float  # per unit
+    unit: str  # of the quantity
+    formula: str  # of the quantity, for people
+    measure: Callable[[Steps], np.ndarray]  # (..., K)
 
 
 def attitude_error(attitude: np.ndarray) -> np.ndarray:
@@ -75,8 +75,83 @@ def progress(position: np.ndarray, heading: np.ndarray | float = 0.0) -> np.ndar
     return moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)
 
 
+def distance_term(weight: float) -> Term:
+    """Progress along the heading at the start; without a tracker, a return still follows from the distance at the end.
+
+    Args:
+      weight: per m.
+    """
+    return Term(DISTANCE, weight, "m", "x' - x", _moved)
+
+
+def _moved(steps: Steps) -> np.ndarray:
+    if steps.progress is None:
+        raise RewardError(
+            "the task counts distance, but no position was measured; give the distance at the end instead"
+        )
+    return np.diff(steps.progress, axis=-1)
+
+
+def attitude_term(weight: float) -> Term:
+    """Attitude error that the step removes.
+
+    Args:
+      weight: per rad.
+    """
+    return Term("attitude", weight, "rad", "e - e'", lambda s: -np.diff(attitude_error(s.attitude), axis=-1))
+
+
+def action_term(weight: float) -> Term:
+    """Mean squared change of the joint targets.
+
+    Args:
+      weight: per rad^2, negative for a cost.
+    """
+    return Term("action", weight, "rad^2", "mean_j (a_j - a_j_before)^2", _change)
+
+
+def _change(steps: Steps) -> np.ndarray:
+    return np.square(steps.action - steps.before).mean(axis=-1)
+
+
+DISTANCE = "distance"  # the one term whose sum is known from the end of the rollout alone
+REWARDS: dict[str, tuple[Term, ...]] = {
+    "balance": (attitude_term(9000.0), action_term(-600.0)),
+    "forward": (distance_term(90000.0), attitude_term(9000.0), action_term(-600.0)),
+}
+
+
+def terms_of(task: str) -> tuple[Term, ...]:
+    """The terms of a task's reward.
+
+    Raises:
+      RewardError: the task has none.
+    """
+    if task in REWARDS:
+        return REWARDS[task]
+    if not has_reward(task):
+        raise RewardError(describe("task without a reward", task, "one of " + ", ".join(tasks())))
+    return find_task(task).reward
+
+
+def has_reward(task: str) -> bool:
+    """Whether a task is known, and with it its reward."""
+    return task in REWARDS or task in tasks()
+
+
+def counts_distance(task: str) -> bool:
+    """Whether a task's reward needs to know how far the robot came."""
+    return any(term.name == DISTANCE for term in terms_of(task))
+
+
+def formula(task: str) -> str:
+    """The reward of a control step in a line, with its weights."""
+    parts = [f"{term.weight:+g} /{term.unit} * ({term.formula})" for term in terms_of(task)]
+    return "r = " + " ".join(parts).removeprefix("+")
+
+
 def step_rewards(
-    task: str | RewardWeights,
+    task: str | tuple[Term, ...],
     attitude: np.ndarray,
     progress: np.ndarray | None,
     action: np.ndarray,
@@ -85,7 +160,7 @@ def step_rewards(
     """Reward of each control step, over any leading axes.
 
     Args:
-      task: a task's name, or weights.
+      task: a task's name, or terms.
       attitude: (..., K + 1, 4) base in world, w x y z, at the K control ticks and at the end of the last step.
       progress: (..., K + 1) m along the heading at the start; None where the task does not count it.
       action: (..., K, J) joint targets in rad.
@@ -97,18 +172,13 @@ def step_rewards(
     Raises:
       RewardError: the task counts distance and `progress` is None.
     """
-    w = task if isinstance(task, RewardWeights) else weights_of(task)
     before = np.concatenate([np.broadcast_to(previous, action[..., :1, :].shape[:-2] + action.shape[-1:])[..., None, :],
                              action[..., :-1, :]], axis=-2)  # fmt: skip
-    reward = w.action * np.square(action - before).mean(axis=-1)
-    reward = reward - w.attitude * np.diff(attitude_error(attitude), axis=-1)
-    if w.distance == 0.0:
-        return reward
-    if progress is None:
-        raise RewardError(
-            "the task counts distance, but no position was measured; give the distance at the end instead"
-        )
-    return reward + w.distance * np.diff(progress, axis=-1)
+    steps = Steps(attitude, progress, action, before)
+    reward = np.zeros(action.shape[:-1])
+    for term in terms_of(task) if isinstance(task, str) else task:
+        reward = reward + term.weight * term.measure(steps)
+    return reward
 
 
 @dataclass(frozen=True)
@@ -127,7 +197,7 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
     Raises:
       RewardError: no attitude, or no command, was measured.
     """
-    weights = weights_of(measurement.scenario.task)
+    terms = terms_of(measurement.scenario.task)
     commands = measurement.commands
     if measurement.attitude is None or len(measurement.attitude) == 0 or len(commands.time) == 0:
         lack = "attitude" if len(commands.time) else "commands"
@@ -136,17 +206,15 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
     start = measurement.scenario.initial_joint_position
     previous = np.zeros(commands.target.shape[1]) if start is None else np.asarray(start, float)
     attitude = measurement.attitude[rows]
-    if measurement.position is not None or weights.distance == 0.0:
-        moved = None
-        if measurement.position is not None:
-            moved = progress(measurement.position[rows], measurement.scenario.initial_yaw)
-        steps = step_rewards(weights, attitude, moved, commands.target, previous)
+    moved = None
+    if measurement.position is not None:
+        moved = progress(measurement.position[rows], measurement.scenario.initial_yaw)
+    known = tuple(term for term in terms if term.name != DISTANCE or moved is not None)
+    steps = step_rewards(known, attitude, moved, commands.target, previous)
+    if len(known) == len(terms):
         return EpisodeReward(steps, float(steps.sum()))
-    rest = RewardWeights(0.0, weights.attitude, weights.action)
-    total = (
-        step_rewards(rest, attitude, None, commands.target, previous).sum() + weights.distance * measurement.distance
-    )
-    return EpisodeReward(np.full(len(commands.time), np.nan), float(total))
+    end = sum(term.weight for term in terms if term.name == DISTANCE) * measurement.distance
+    return EpisodeReward(np.full(len(commands.time), np.nan), float(steps.sum() + end))
 
 
 def _rows_at_ticks(sample_time: np.ndarray, command_time: np.ndarray) -> np.ndarray:

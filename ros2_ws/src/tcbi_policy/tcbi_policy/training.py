@@ -37,8 +37,16 @@ from tcbi_policy.artefact import Actor, Card, Policy, find_policy, replace_file,
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
-from tcbi_policy.evaluation import Conditions, Network, NoisyObservation, compare_paired, draw_conditions, evaluate
-from tcbi_policy.gaits import CYCLES
+from tcbi_policy.evaluation import (
+    Conditions,
+    Network,
+    NoisyObservation,
+    compare_paired,
+    draw_conditions,
+    evaluate,
+    step_spread,
+)
+from tcbi_policy.gaits import CYCLES, Gait
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
 from tcbi_policy.randomisation import prior_of, randomised
@@ -108,7 +116,7 @@ class Training:
             timestep=config.timestep, threads=config.threads,
         )  # fmt: skip
         torch.set_num_threads(1)  # the same sums in the same order; the physics uses the processors
-        self.algorithm = make_algorithm(config, HexapodVecEnv(self.environment, config.reward_scale))
+        self.algorithm = make_algorithm(config, HexapodVecEnv(self.environment, self._reward_scale()))
         self.events = EventFile(folder / "tensorboard")
         self.algorithm.set_logger(Logger(None, [self.events]))
         self.best: Mlp = self.present()
@@ -117,6 +125,14 @@ class Training:
         if start is not None:
             from_mlp(self.algorithm, start.mlp)
             self.best = self.present()
+
+    def _reward_scale(self) -> float:
+        """The configuration's, or one over the spread of a step's reward under a dithering gait."""
+        if self.config.reward_scale > 0:
+            return self.config.reward_scale
+        few = Conditions(self.conditions.parameters[:8], self.conditions.scenarios[:8])
+        spread = step_spread(Gait("dither"), self.model, few, self.config.timestep, self.config.threads)
+        return 1.0 / spread if spread > 0 else 1.0
 
     def present(self) -> Mlp:
         """The policy as it is now."""

@@ -9,7 +9,7 @@ import numpy as np
 from tcbi_contract.names import JOINT_LIMIT, JOINTS, SLOPE_LIMIT
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Block, Scenario
-from tcbi_sim.tasks import TASKS, find_task
+from tcbi_sim.tasks import find_task, tasks
 
 MOST_BLOCKS = 64
 
@@ -36,8 +36,8 @@ def requested_scenario(request: Any) -> Scenario:
       EpisodeError: all faults at once.
     """
     faults = []
-    if request.task and request.task not in TASKS:
-        faults.append(f"task: got {request.task!r}, allowed is one of {', '.join(TASKS)}, or empty for none")
+    if request.task and request.task not in tasks():
+        faults.append(f"task: got {request.task!r}, allowed is one of {', '.join(tasks())}, or empty for none")
     slopes = {"slope_roll": request.slope_roll, "slope_pitch": request.slope_pitch}
     outside = [(n, v) for n, v in slopes.items() if not abs(v) <= SLOPE_LIMIT + 1e-9]
     faults += [f"{name}: got {value}, allowed is -pi/6 to pi/6 rad" for name, value in outside]
@@ -46,7 +46,7 @@ def requested_scenario(request: Any) -> Scenario:
     faults += _posture_faults(request.joint_position) + _block_faults(request.blocks)
     if faults:
         raise EpisodeError("reset: " + "; ".join(faults))
-    own = TASKS[request.task].duration if request.task else math.inf
+    own = find_task(request.task).duration if request.task else math.inf
     return Scenario(
         request.task,
         request.duration or own,

@@ -1,14 +1,28 @@
-"""What a robot is asked to do: terrain, initial state, and how long. Episodes never end early (paper, section 3)."""
+"""What a robot is asked to do: terrain, initial state, and how long. Episodes never end early (paper, section 3).
 
+The user's own tasks lie in the folder that TCBI_TASKS names, else in `tasks` of the store, one file each (see
+user_tasks.py and docs/policies.md). One that cannot be used is left out with a line in the log.
+"""
+
+import contextlib
+import functools
+import logging
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tcbi_contract.names import JOINTS
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.measurement import Block, Scenario
+from tcbi_sim.places import default_root
+
+log = logging.getLogger(__name__)
+USER_TASKS = "TCBI_TASKS"  # environment variable: the folder with the user's own tasks
 
 BLOCK_HEIGHT = (0.06, 0.08)  # m (paper, Table 1)
 BLOCK_LENGTH = (0.10, 0.20)  # m (paper, Table 1)
@@ -25,6 +39,7 @@ class Task:
     description: str
     blocks: int  # at most
     draw: Callable[[np.random.Generator, int], Scenario]
+    reward: tuple[Any, ...] = ()  # terms, for a user's own task; those of the built-in ones stand in tcbi_policy.reward
 
 
 def draw_balance(rng: np.random.Generator, seed: int = 0) -> Scenario:
@@ -55,12 +70,54 @@ TASKS = {
 }
 
 
+def tasks_folder() -> Path:
+    """The folder with the user's own tasks: TCBI_TASKS, else `tasks` in the store."""
+    given = os.environ.get(USER_TASKS)
+    return Path(given).expanduser() if given else default_root().expanduser() / "tasks"
+
+
+def tasks() -> dict[str, Task]:
+    """All tasks by name: the built-in ones, then the user's own, without those that cannot be used."""
+    return _tasks_of(tasks_folder())
+
+
+@functools.cache
+def _tasks_of(folder: Path) -> dict[str, Task]:
+    from tcbi_sim.user_tasks import UserTaskError, load_file
+
+    found = dict(TASKS)
+    for path in sorted(p for p in folder.glob("*.py") if not p.name.startswith(("_", "."))):
+        try:
+            task = load_file(path)
+            if task.name in found:
+                raise UserTaskError(path, [f"the name {task.name!r} is taken already; choose another one"])
+        except UserTaskError as e:
+            log.warning("%s; it is left out, ./tcbi tasks check tells more", e)
+            continue
+        found[task.name] = task
+    return found
+
+
+@contextlib.contextmanager
+def including(task: Task) -> Iterator[None]:
+    """The tasks with one more for a while, which hides one of the same name."""
+    known = tasks()
+    before = dict(known)
+    known[task.name] = task
+    try:
+        yield
+    finally:
+        known.clear()
+        known.update(before)
+
+
 def find_task(name: str) -> Task:
     """The task of this name.
 
     Raises:
       UnknownNameError: there is none.
     """
-    if name not in TASKS:
-        raise UnknownNameError("task", name, tuple(TASKS))
-    return TASKS[name]
+    known = tasks()
+    if name not in known:
+        raise UnknownNameError("task", name, tuple(known))
+    return known[name]

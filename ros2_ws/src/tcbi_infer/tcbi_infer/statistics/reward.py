@@ -4,7 +4,7 @@ import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.statistics.base import RolloutArrays, Statistic
-from tcbi_policy.reward import WEIGHTS, progress, step_rewards
+from tcbi_policy.reward import counts_distance, has_reward, progress, step_rewards
 
 
 def rewards(arrays: RolloutArrays) -> np.ndarray:
@@ -29,10 +29,10 @@ def rewards(arrays: RolloutArrays) -> np.ndarray:
 def lacks(arrays: RolloutArrays) -> str:
     """A reward needs a task that has one, and a position where the task counts distance."""
     tasks = {scenario.task for scenario in arrays.scenarios}
-    unknown = sorted(tasks - set(WEIGHTS))
+    unknown = sorted(task for task in tasks if not has_reward(task))
     if unknown:
         return f"a task without a reward ({', '.join(unknown)})"
-    if arrays.position is None and any(WEIGHTS[task].distance for task in tasks):
+    if arrays.position is None and any(counts_distance(task) for task in tasks):
         return "no position, which the reward per step of this task needs"
     return ""
 

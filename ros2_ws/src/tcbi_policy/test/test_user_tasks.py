@@ -1,0 +1,86 @@
+"""A task of one's own is one file: drawn, rewarded, checked, and trained like the built-in ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tcbi_policy.configuration import preset
+from tcbi_policy.environment import HexapodVectorEnv
+from tcbi_policy.reward import formula, has_reward
+from tcbi_policy.task_check import check_file
+from tcbi_sim.model import base_model
+from tcbi_sim.tasks import find_task, tasks
+
+TURN = """
+import numpy as np
+from tcbi_policy.reward import Term, action_term
+from tcbi_sim.measurement import Scenario, roll_pitch_yaw
+from tcbi_sim.tasks import Task
+
+
+def draw(rng, seed=0):
+    return Scenario("turn", 6.0, initial_yaw=float(rng.uniform(-3, 3)), seed=seed)
+
+
+def turned(steps):
+    return np.diff(np.unwrap(roll_pitch_yaw(steps.attitude)[..., 2], axis=-1), axis=-1)
+
+
+TASK = Task("turn", 6.0, "turn to the left on level ground", 0, draw,
+            reward=(Term("turn", 5000.0, "rad", "yaw' - yaw", turned), action_term(-600.0)))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TCBI_TASKS", str(tmp_path))
+    (tmp_path / "turn.py").write_text(TURN)
+    return tmp_path
+
+
+def test_a_file_in_the_folder_is_a_task_with_a_reward_like_any_other(folder: Path) -> None:
+    assert list(tasks()) == ["balance", "forward", "turn"] and has_reward("turn")
+    assert formula("turn") == "r = 5000 /rad * (yaw' - yaw) -600 /rad^2 * (mean_j (a_j - a_j_before)^2)"
+    environment = HexapodVectorEnv(base_model("hexapod"), "turn", 2)
+    environment.reset()
+    assert environment.steps == 30
+    assert np.isfinite(environment.step(np.full((2, 18), 0.3))[1]).all()
+    config = preset("fast", "turn")
+    assert config.reward_scale == 0.0 and config.steps == round(preset("fast", "balance").steps * 6 / 8)
+
+
+def test_the_check_finds_nothing_wrong_with_a_good_one(folder: Path) -> None:
+    task, faults = check_file(folder / "turn.py")
+    assert task is not None and task.name == "turn" and faults == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("TASK =", "OTHER =", "TASK must be a Task"),
+        ("import numpy", "import numpyy", "line 2"),
+        ('"turn", 6.0, "turn', '"turn", 6.1, "turn', "multiples of the control period"),
+        ("initial_yaw=", "slope_roll=1.0, initial_yaw=", "slope"),
+        ('Scenario("turn"', 'Scenario("spin"', "task 'spin'"),
+        ("rng.uniform(-3, 3)", "np.random.uniform(-3, 3)", "same generator"),
+        ('"rad", "yaw', '"", "yaw', "no unit"),
+        ("return np.diff", "return 1 / 0 * np.diff", "ZeroDivisionError"),
+        ("return np.diff(", "return np.nan * np.diff(", "not finite"),
+    ],
+)
+def test_each_fault_is_named(folder: Path, before: str, after: str, says: str) -> None:
+    file = folder / "turn.py"
+    file.write_text(TURN.replace(before, after))
+    _, faults = check_file(file)
+    assert any(says in fault for fault in faults), faults
+
+
+def test_a_broken_file_is_left_out_with_a_line_and_the_others_stay(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (folder / "broken.py").write_text("TASK = 1")
+    (folder / "second.py").write_text(TURN)
+    assert list(tasks()) == ["balance", "forward", "turn"]
+    assert "broken.py" in caplog.text and "is taken already" in caplog.text
+    assert find_task("turn").duration == 6.0

@@ -1,0 +1,70 @@
+"""A user's own task, one file: read without trusting it, and every fault in one plain line.
+
+task = load_file(path)       # raises UserTaskError, whose `faults` are lines
+"""
+
+import importlib.util
+import math
+from pathlib import Path
+
+from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_sim.errors import SimError
+from tcbi_sim.tasks import Task
+from tcbi_sim.user_effects import NAME, told
+
+LONGEST_S = 3600.0
+MOST_BLOCKS = 64
+
+
+class UserTaskError(SimError):
+    """A user's file that holds no usable task."""
+
+    def __init__(self, path: Path, faults: list[str]):
+        self.path, self.faults = path, faults
+        super().__init__(f"task file {path}: {'; '.join(faults)}")
+
+
+def load_file(path: Path) -> Task:
+    """The TASK of a file.
+
+    Raises:
+      UserTaskError: the file cannot be imported, or what it defines cannot be used.
+    """
+    spec = importlib.util.spec_from_file_location(f"tcbi_user_task_{path.stem}", path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise UserTaskError(path, ["is no Python file; give the path of a file that ends in .py"])
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as e:  # it is the user's code
+        raise UserTaskError(path, [f"cannot be imported: {told(e, path)}"]) from e
+    task = getattr(module, "TASK", None)
+    if not isinstance(task, Task):
+        seen = "nothing of that name" if task is None else f"a {type(task).__name__}"
+        raise UserTaskError(path, [f"TASK must be a Task of tcbi_sim.tasks, seen {seen}; write TASK = Task(…)"])
+    faults = unusable(task)
+    if faults:
+        raise UserTaskError(path, faults)
+    return task
+
+
+def unusable(task: Task) -> list[str]:
+    """What would break a training, a rollout or an inference of this task."""
+    faults = []
+    if not isinstance(task.name, str) or not NAME.fullmatch(task.name):
+        faults.append(f"name is {task.name!r}, allowed are small letters, digits and _, such as 'my_task'")
+    if not isinstance(task.duration, (int, float)) or not CONTROL_PERIOD_S <= task.duration <= LONGEST_S:
+        faults.append(f"duration is {task.duration!r}, allowed are {CONTROL_PERIOD_S} to {LONGEST_S:.0f} s")
+    elif not math.isclose(task.duration / CONTROL_PERIOD_S, round(task.duration / CONTROL_PERIOD_S)):
+        faults.append(
+            f"duration is {task.duration} s, allowed are multiples of the control period, {CONTROL_PERIOD_S} s"
+        )
+    if not isinstance(task.blocks, int) or not 0 <= task.blocks <= MOST_BLOCKS:
+        faults.append(f"blocks is {task.blocks!r}, allowed is the most that draw() places, 0 to {MOST_BLOCKS}")
+    if not callable(task.draw):
+        faults.append(f"draw is {task.draw!r}, allowed is a function of a Generator and a seed that returns a Scenario")
+    if not isinstance(task.reward, tuple) or not task.reward:
+        faults.append(
+            "reward must be a tuple of Term of tcbi_policy.reward; write (Term(…),) with the comma even for one"
+        )
+    return faults
