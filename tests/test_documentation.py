@@ -55,3 +55,13 @@ def test_the_topics_of_the_contract_are_those_of_the_code():
     more = ("ROBOT_DESCRIPTION", "POSTERIOR", "MODEL_ERROR", "DIAGNOSIS", "RESET_EPISODE", "EMERGENCY_STOP", "RETRAIN")
     missing = [name for name in (*topics, *more) if f"`{getattr(names, name)}`" not in text]
     assert not missing
+
+
+def test_the_files_that_the_examples_name_are_there():
+    command = ROOT / "ros2_ws" / "src" / "tcbi_bringup" / "tcbi_bringup" / "commands" / "test.py"
+    texts = [page.read_text() for page in (*PAGES, command)]
+    named = {
+        path for text in texts for path in re.findall(r"\b(?:ros2_ws/src|tests|docs|bench)/[\w/]+\.(?:py|md)\b", text)
+    }
+    assert len(named) > 5
+    assert not [path for path in sorted(named) if not (ROOT / path).exists()]

@@ -8,18 +8,19 @@ import serial
 
 from hexapod_driver import calibration
 from hexapod_driver.link import LinkSettings
-from hexapod_driver.probe import Finding, probe
+from hexapod_driver.probe import probe
+from tcbi_contract.check import FAULT, OK, Check
 
 
-def look(paths: list[str]) -> dict[str, Finding]:
+def look(paths: list[str]) -> dict[str, Check]:
     board = paths[1] if len(paths) == 2 else ""
     settings = LinkSettings(paths[0], 1_000_000, board, 921_600, calibration.load(""))
     return {finding.name: finding for finding in probe(settings)}
 
 
-def only_fault(paths: list[str]) -> Finding:
+def only_fault(paths: list[str]) -> Check:
     (finding,) = look(paths).values()
-    assert not finding.good and finding.remedy
+    assert finding.status == FAULT and finding.remedy
     return finding
 
 
@@ -27,7 +28,7 @@ def only_fault(paths: list[str]) -> Finding:
 def test_a_whole_robot_answers_everywhere(make_bench, ports):
     found = look(make_bench(ports, position=0.1).paths)
     assert list(found) == ["sensor board", "servos", "positions", "sensors"]
-    assert all(finding.good for finding in found.values())
+    assert all(finding.status == OK for finding in found.values())
     assert "18 of 18 joints" in found["positions"].found and "7.4 V" in found["positions"].found
     assert "9.81 m/s^2" in found["sensors"].found and "lf lr rm" in found["sensors"].found
 
@@ -47,13 +48,13 @@ def test_servos_that_do_not_answer_are_named_and_the_others_read(make_bench):
     bench = make_bench()
     bench.electronics.bus.absent = {1, 7}
     found = look(bench.paths)
-    assert not found["servos"].good and "(id 1)" in found["servos"].found and "(id 7)" in found["servos"].found
-    assert found["positions"].good and "16 of 16" in found["positions"].found
+    assert found["servos"].status == FAULT and "(id 1)" in found["servos"].found and "(id 7)" in found["servos"].found
+    assert found["positions"].status == OK and "16 of 16" in found["positions"].found
 
 
 def test_a_joint_far_outside_its_range_is_a_fault_of_the_calibration(make_bench):
     found = look(make_bench(position=1.0).paths)["positions"]
-    assert not found.good and "lf_coxa 57 deg" in found.found and "zero_step" in found.remedy
+    assert found.status == FAULT and "lf_coxa 57 deg" in found.found and "zero_step" in found.remedy
 
 
 def test_a_silent_port_is_told_from_one_that_sends_rubbish():
@@ -94,4 +95,4 @@ def test_a_port_that_goes_away_under_the_look_is_one_fault(make_bench):
     bench.electronics.receive = unplugged
     *before, last = look(bench.paths).values()
     assert [finding.name for finding in before] in (["sensor board"], [])  # it was asked again, if this took long
-    assert last.name == "link" and not last.good and "went away" in last.found
+    assert last.name == "link" and last.status == FAULT and "went away" in last.found

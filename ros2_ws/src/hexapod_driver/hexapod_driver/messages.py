@@ -1,4 +1,4 @@
-"""From ROS messages to plain values and back, for the driver node."""
+"""From ROS messages to plain values and back, for the driver node; needs ROS."""
 
 from collections.abc import Iterable
 

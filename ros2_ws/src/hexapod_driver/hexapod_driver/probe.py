@@ -10,7 +10,6 @@ the servos as they are; the board's watchdog keeps its default. So a limp robot 
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from hexapod_driver import feetech, sensor_board, startup
 from hexapod_driver.errors import DriverError, LinkLost, PortError, StartupError
@@ -18,6 +17,7 @@ from hexapod_driver.feetech import Packet
 from hexapod_driver.link import LinkSettings, open_wire
 from hexapod_driver.sensor_board import Feature, FrameError, Identity, Kind, Sample
 from hexapod_driver.wire import Wire
+from tcbi_contract.check import FAULT, OK, Check
 from tcbi_contract.names import JOINT_LIMIT, LEGS
 
 READ_S = 0.5
@@ -29,57 +29,47 @@ BEYOND_RAD = 0.1  # a joint this far outside its range cannot be calibrated righ
 GRAVITY, GRAVITY_TOLERANCE = 9.81, 2.0  # m/s^2
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was asked of the robot: what answered, and what to do if that is not well."""
-
-    name: str
-    good: bool
-    found: str
-    remedy: str = ""
-
-
-def probe(settings: LinkSettings) -> Iterator[Finding]:
+def probe(settings: LinkSettings) -> Iterator[Check]:
     """Ask the sensor board, every servo and the sensors, one after the other; ends at the first that makes the rest
     pointless."""
     try:
         wire = open_wire(settings, time.time_ns)
     except PortError as error:
-        yield Finding("port", False, *_split(error))
+        yield Check("port", FAULT, *_split(error))
         return
     try:
         yield from _ask(wire, settings)
     except LinkLost as error:
-        yield Finding("link", False, str(error), "check plug, power and radio range, then call again")
+        yield Check("link", FAULT, str(error), "check plug, power and radio range, then call again")
     finally:
         wire.close()
 
 
-def _ask(wire: Wire, settings: LinkSettings) -> Iterator[Finding]:
+def _ask(wire: Wire, settings: LinkSettings) -> Iterator[Check]:
     try:
         identity = startup.identify(wire)
     except StartupError as error:
-        yield Finding("sensor board", False, *_split(error))
+        yield Check("sensor board", FAULT, *_split(error))
         return
     yield _board(identity)
     yield from _servos(wire, settings)
     yield _sample(wire)
 
 
-def _board(identity: Identity) -> Finding:
+def _board(identity: Identity) -> Check:
     parts = {"servo bus": Feature.SERVO_BUS, "IMU": Feature.IMU, "foot switches": Feature.FOOT_SWITCHES}
     has = [name for name, feature in parts.items() if identity.features & feature]
     found = f"{identity.name!r}, firmware {identity.firmware}, up for {identity.time_us * 1e-6:.0f} s"
-    return Finding("sensor board", True, f"{found}, has {', '.join(has) or 'neither IMU nor foot switches'}")
+    return Check("sensor board", OK, f"{found}, has {', '.join(has) or 'neither IMU nor foot switches'}")
 
 
-def _servos(wire: Wire, settings: LinkSettings) -> Iterator[Finding]:
+def _servos(wire: Wire, settings: LinkSettings) -> Iterator[Check]:
     calibration = settings.calibration
     missing = startup.missing_joints(wire, calibration)
     if missing:
-        yield Finding("servos", False, startup.absence(missing, calibration), startup.SERVO_REMEDY)
+        yield Check("servos", FAULT, startup.absence(missing, calibration), startup.SERVO_REMEDY)
     else:
-        yield Finding("servos", True, f"all {len(calibration.joints)} answer")
+        yield Check("servos", OK, f"all {len(calibration.joints)} answer")
     joints = {joint.servo: name for name, joint in calibration.joints.items() if name not in missing}
     if joints:
         question = feetech.sync_read(joints, feetech.PRESENT_POSITION, HEALTH_BYTES)
@@ -87,9 +77,9 @@ def _servos(wire: Wire, settings: LinkSettings) -> Iterator[Finding]:
         yield _positions({joints[p.id]: p for p in packets if p.id in joints}, settings, len(joints))
 
 
-def _positions(packets: dict[str, Packet], settings: LinkSettings, asked: int) -> Finding:
+def _positions(packets: dict[str, Packet], settings: LinkSettings, asked: int) -> Check:
     if not packets:
-        return Finding("positions", False, f"none of {asked} servos tells its position", "restart the servos' power")
+        return Check("positions", FAULT, f"none of {asked} servos tells its position", "restart the servos' power")
     angles = {
         name: settings.calibration.to_radian(name, int.from_bytes(p.params[:2], "little"))
         for name, p in packets.items()
@@ -101,29 +91,29 @@ def _positions(packets: dict[str, Packet], settings: LinkSettings, asked: int) -
     complaints = [f"{name} reports {', '.join(feetech.error_names(p.code))}" for name, p in packets.items() if p.code]
     beyond = [name for name, angle in angles.items() if abs(angle) > JOINT_LIMIT + BEYOND_RAD]
     if complaints:
-        return Finding("positions", False, f"{found}; {'; '.join(complaints)}", "let it cool, check load and supply")
+        return Check("positions", FAULT, f"{found}; {'; '.join(complaints)}", "let it cool, check load and supply")
     if beyond:
         outside = ", ".join(f"{name} {math.degrees(angles[name]):.0f} deg" for name in beyond)
         remedy = "correct direction and zero_step in the calibration, or lay the legs into their range"
-        return Finding("positions", False, f"{found}; outside +-30 deg: {outside}", remedy)
+        return Check("positions", FAULT, f"{found}; outside +-30 deg: {outside}", remedy)
     if len(angles) < asked:
-        return Finding("positions", False, found, "bytes get lost: check cables, radio range and the baud rate")
-    return Finding("positions", True, found)
+        return Check("positions", FAULT, found, "bytes get lost: check cables, radio range and the baud rate")
+    return Check("positions", OK, found)
 
 
-def _sample(wire: Wire) -> Finding:
+def _sample(wire: Wire) -> Check:
     wire.send_board(Kind.STREAM, sensor_board.stream_payload(SAMPLE_RATE_HZ, WATCHDOG_MS))
     frame = wire.ask_board(Kind.KEEP_ALIVE, b"", Kind.SAMPLE, SAMPLE_S)
     wire.send_board(Kind.STREAM, sensor_board.stream_payload(0, WATCHDOG_MS))
     if frame is None:
-        return Finding("sensors", False, f"no sample within {SAMPLE_S:g} s", "restart the sensor board")
+        return Check("sensors", FAULT, f"no sample within {SAMPLE_S:g} s", "restart the sensor board")
     try:
         return _judge(sensor_board.parse_sample(frame.payload))
     except FrameError as error:
-        return Finding("sensors", False, str(error), "restart the sensor board, or update its firmware")
+        return Check("sensors", FAULT, str(error), "restart the sensor board, or update its firmware")
 
 
-def _judge(sample: Sample) -> Finding:
+def _judge(sample: Sample) -> Check:
     words, faults = [], []
     if sample.linear_acceleration is None:
         words.append("no acceleration")
@@ -139,7 +129,9 @@ def _judge(sample: Sample) -> Finding:
         touching = [leg for leg, on in zip(LEGS, sample.contact, strict=True) if on]
         words.append(f"feet that touch: {' '.join(touching) or 'none'}")
     remedy = "lay the robot still and call again; else the IMU is damaged or in other units" if faults else ""
-    return Finding("sensors", not faults, ", ".join(words) + "".join(f"; {fault}" for fault in faults), remedy)
+    return Check(
+        "sensors", FAULT if faults else OK, ", ".join(words) + "".join(f"; {fault}" for fault in faults), remedy
+    )
 
 
 def _tilt_deg(orientation: tuple[float, ...]) -> float:

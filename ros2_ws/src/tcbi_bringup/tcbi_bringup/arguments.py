@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 USAGE = 2  # exit status
-TASKS = ("balance", "forward")  # of tcbi_sim.tasks, without its imports
 
 
 class Parser(argparse.ArgumentParser):

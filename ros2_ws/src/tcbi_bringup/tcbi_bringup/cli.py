@@ -80,6 +80,7 @@ COMMANDS = (
     Command("add", "explain", "make a new model version with an effect in it"),
     Command("remove", "explain", "make a new model version without one of its effects"),
     Command("infer", "infer", "posterior of the parameters from bags"),
+    Command("tasks", "infer", "list the tasks with their rewards; check one of your own"),
     Command("train", "infer", "train a policy for a task on a model"),
     Command("retrain", "infer", "train the running policy's successor on the posterior"),
     Command("policy", "infer", "list, show and measure policies"),
@@ -87,6 +88,7 @@ COMMANDS = (
     Command("diff", "watch", "what differs between two model versions"),
     Command("export-model", "watch", "write a model version as MJCF"),
     Command("view", "watch", "show a model version, or render a picture and a video"),
+    Command("study", "watch", "does it transfer? the paper's experiment on emulated robots, all methods side by side"),
     Command("run", "graph", "start one executable of one package, with --ros-args as usual"),
     Command("bench", "develop", "measure the product: accuracy, speed, robustness"),
     Command("test", "develop", "run linter, type checker and all tests, or the tests of one path"),
@@ -163,12 +165,25 @@ def dispatch(words: list[str]) -> int:
     except SystemExit as e:  # argparse has printed what is wrong, or the help
         return int(e.code or OK)
     with store_of(args):
+        check_task(args)
         if not getattr(args, "json", False):
             return int(module.run(args))
         from tcbi_bringup.commands import console
 
         with console.json_only():
             return int(module.run(args))
+
+
+def check_task(args: argparse.Namespace) -> None:
+    """Refuse a `--task` that there is not; those of one's own lie in the store.
+
+    Raises:
+      UnknownNameError: with the known ones.
+    """
+    if getattr(args, "task", ""):
+        from tcbi_sim.tasks import find_task
+
+        find_task(args.task)
 
 
 @contextlib.contextmanager

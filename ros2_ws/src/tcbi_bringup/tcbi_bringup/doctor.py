@@ -1,5 +1,6 @@
 """The checks of `./tcbi doctor` that need no running graph: environment, versions, build, disk, rendering, ports."""
 
+import dataclasses
 import importlib
 import importlib.metadata
 import os
@@ -9,27 +10,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.executables import PACKAGES, executables
+from tcbi_contract.check import FAULT, OK, WARNING, Check
 
-OK, WARNING, FAULT = "ok", "warning", "fault"
 PACKAGES_NEEDED = ("numpy", "scipy", "mujoco", "torch", "stable-baselines3", "arviz", "mcap", "rosbags", "pyserial")
 SPACE_FAULT_GB, SPACE_WARNING_GB = 0.5, 2.0
 EARLIEST_CLOCK = 1_735_689_600  # 2025-01-01; a board without a clock battery starts in 1970
 RENDER_TIMEOUT_S = 60
-
-
-@dataclass(frozen=True)
-class Check:
-    """One finding: what was looked at, how it stands, what was found, what to do if it is not well."""
-
-    name: str
-    status: str
-    found: str
-    remedy: str = ""
 
 
 def environment_checks(store: Path) -> Iterator[Check]:
@@ -224,5 +214,4 @@ def robot_checks(port: str, sensor_port: str = "", calibration_file: str = "") -
         yield Check("calibration", FAULT, str(error), "correct the file; docs/driver.md says what stands in it")
         return
     for finding in probe(LinkSettings(port, BAUD_RATE, sensor_port, SENSOR_BAUD_RATE, robot)):
-        status = OK if finding.good else FAULT
-        yield Check(f"robot: {finding.name}", status, finding.found, finding.remedy)
+        yield dataclasses.replace(finding, name=f"robot: {finding.name}")

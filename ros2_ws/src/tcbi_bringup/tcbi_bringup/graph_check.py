@@ -3,10 +3,10 @@
 import time
 from collections.abc import Iterator
 
-from tcbi_bringup.doctor import FAULT, OK, WARNING, Check
 from tcbi_bringup.domain_lock import OWN_NODES
 from tcbi_bringup.expectations import EXPECTATIONS, RATE_TOLERANCE, Expectation, judge_rate
 from tcbi_bringup.graph_monitor import GraphMonitor, TopicRate
+from tcbi_contract.check import FAULT, OK, WARNING, Check
 
 DISCOVERY_S = 3.0
 LISTEN_S = 4.0

@@ -1,4 +1,4 @@
-"""Looks at a running graph from outside: its nodes, and the rate and age of each topic.
+"""Looks at a running graph from outside: its nodes, and the rate and age of each topic; needs ROS.
 
 with GraphMonitor(domain_id=7) as monitor:
     monitor.wait_for_nodes(["sim_node", "policy_node"], timeout_s=10)

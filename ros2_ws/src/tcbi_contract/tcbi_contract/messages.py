@@ -1,4 +1,4 @@
-"""QoS profiles and message layouts, so that driver and simulator publish the same by construction."""
+"""QoS profiles and message layouts, so that driver and simulator publish the same by construction; needs ROS."""
 
 import math
 from array import array

@@ -1,4 +1,4 @@
-"""Node parameters from one frozen dataclass: described, typed, bounded, refused by name at the start."""
+"""Node parameters from one frozen dataclass: described, typed, bounded, refused by name at the start; needs ROS."""
 
 import dataclasses
 from typing import Any, TypeVar

@@ -1,4 +1,4 @@
-"""How every node process starts and ends: 0 on Ctrl-C or SIGTERM, 1 with one line when it is set up wrongly.
+"""How every node process starts and ends: 0 on Ctrl-C or SIGTERM, 1 with one line when it is set up wrongly; needs ROS.
 
 def main(args=None) -> int:
     return run("sim_node", SimNode, args)

@@ -1,4 +1,4 @@
-"""The action `collect_rollouts`: reset, BEGIN, policy on, wait, policy off, END, again and again.
+"""The action `collect_rollouts`: reset, BEGIN, policy on, wait, policy off, END, again and again; needs ROS.
 
 It runs as a coroutine in the node's one thread; between steps it only asks whether something has come true. So nothing
 blocks, and recording goes on meanwhile. Durations are ROS time; patience is wall time.

@@ -1,4 +1,4 @@
-"""The worker's events as messages."""
+"""The worker's events as messages; needs ROS."""
 
 import math
 from typing import Any

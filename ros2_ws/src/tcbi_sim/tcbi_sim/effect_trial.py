@@ -23,7 +23,8 @@ from tcbi_sim.measurement import Commands, Scenario
 from tcbi_sim.model import Model, base_model
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
-from tcbi_sim.simulator import Simulator, compile_structure
+from tcbi_sim.simulator import Simulator
+from tcbi_sim.structure import compile_structure
 from tcbi_sim.user_effects import told
 
 DURATION = 2.0  # s

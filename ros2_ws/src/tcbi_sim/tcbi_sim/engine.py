@@ -22,7 +22,8 @@ from tcbi_sim.model import Model
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples
-from tcbi_sim.simulator import Simulator, compile_structure, edited_spec
+from tcbi_sim.simulator import Simulator
+from tcbi_sim.structure import compile_structure, edited_spec
 
 __all__ = ["Controller", "SimulatedRollouts", "Simulator", "compile_structure", "edited_spec", "simulate"]
 

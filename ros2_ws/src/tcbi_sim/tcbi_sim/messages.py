@@ -1,4 +1,4 @@
-"""Between the sim node's messages and what its pure modules speak."""
+"""Between the sim node's messages and what its pure modules speak; needs ROS."""
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue

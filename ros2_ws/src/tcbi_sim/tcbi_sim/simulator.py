@@ -17,51 +17,21 @@ from mujoco.batch import Batch, SimulationError
 
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_sim.command_path import CommandPath
-from tcbi_sim.effect import EffectUse, State
+from tcbi_sim.effect import State
 from tcbi_sim.errors import SimError
 from tcbi_sim.fields import CommandFields, Fields, ModelFields, SensingFields
 from tcbi_sim.measurement import Scenario, quaternion_from_rpy
 from tcbi_sim.model import Model
 from tcbi_sim.power import ServoPower
-from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples, delay, multiply, rotate_back, sense
+from tcbi_sim.structure import compile_structure, silence_mujoco
+from tcbi_sim.terrain import write_terrain
 
 CLEARANCE = 0.004  # m above the ground before settling
 MEMORY_S = 0.3  # s of samples kept for late sensors
 
-
-def silence_mujoco() -> None:
-    """Keep MuJoCo's warnings off the console and out of MUJOCO_LOG.TXT; divergence is reported per simulation."""
-    config = mujoco.MjLogConfig.get()
-    config.logto_console = config.logto_file = False
-    config.set()
-
-
 silence_mujoco()
-
-
-def compile_structure(rig: Rig, uses: Sequence[EffectUse], blocks: int = 0) -> mujoco.MjModel:
-    """The MuJoCo model of a rig with the structural changes of some effects, at nominal parameters.
-
-    Raises:
-      SimError: MuJoCo refuses what an effect has changed.
-    """
-    try:
-        return edited_spec(rig, uses, blocks).compile()
-    except ValueError as e:
-        keys = ", ".join(use.key for use in uses if use.effect.edit)
-        raise SimError(
-            f"MuJoCo refuses {rig.name} as edit() of {keys} has changed it: {' '.join(str(e).split())}"
-        ) from e
-
-
-def edited_spec(rig: Rig, uses: Sequence[EffectUse], blocks: int = 0) -> mujoco.MjSpec:
-    """A rig's spec with the structural changes of some effects."""
-    spec = rig.build(blocks)
-    for use in uses:
-        use.edit(spec, rig)
-    return spec
 
 
 class Simulator:
@@ -268,7 +238,8 @@ class Simulator:
         f.strength[...] = 1.0
         f.begins[...] = False
         f.begins[ids] = True
-        self._write_terrain()
+        if self.rig.floating:
+            write_terrain(self.fields, self._mj, self.scenarios)
         keys = sorted({k for s in self.scenarios for k, _ in s.constants})
         constants = {k: np.array([s.constant(k, np.nan) for s in self.scenarios]) for k in keys}
         self.rig.apply(f, {p.name: row[p.name] for p in self.rig.parameters}, constants)
@@ -279,25 +250,6 @@ class Simulator:
         self._power.write(self._torque_on)
         if f.model.needs_constants:
             self._batch.set_const(ids)
-
-    def _write_terrain(self) -> None:
-        if not self.rig.floating:
-            return
-        f, mj = self.fields, self._mj
-        roll = np.array([s.slope_roll for s in self.scenarios])
-        pitch = np.array([s.slope_pitch for s in self.scenarios])
-        f.model["body_quat"][:, f.body("ground")] = quaternion_from_rpy(roll, pitch, np.zeros(self.count))
-        for i in range(self._blocks):
-            geom = mj.geom(f"block_{i}").id
-            for b, scenario in enumerate(self.scenarios):
-                if i < len(scenario.blocks):
-                    block = scenario.blocks[i]
-                    half = np.array(block.size) / 2
-                    f.model["geom_pos"][b, geom] = block.center
-                    f.model["geom_size"][b, geom] = half
-                    f.model["geom_quat"][b, geom] = [np.cos(block.yaw / 2), 0, 0, np.sin(block.yaw / 2)]
-                    f.model["geom_rbound"][b, geom] = np.linalg.norm(half)
-                    f.model["geom_aabb"][b, geom] = [0, 0, 0, *half]
 
     def _place(self, ids: np.ndarray) -> None:
         """Initial state: posture, and for a floating rig the trunk just above the ground, aligned with it."""

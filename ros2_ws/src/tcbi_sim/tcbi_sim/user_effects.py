@@ -103,7 +103,7 @@ def incomplete(effect: Effect) -> list[str]:
 def told(error: BaseException, path: Path | str) -> str:
     """An exception of the user's code in a few words, with the line of the file that it came from."""
     if isinstance(error, SyntaxError):
-        return f"line {error.lineno}: {error.msg}"
+        return f"line {error.lineno}: {error.msg}" if error.lineno else error.msg  # none where it is no text at all
     file = Path(path).resolve()
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).resolve() == file]
     at = f"line {lines[-1]}: " if lines else ""

@@ -146,6 +146,7 @@ def test_without_a_variable_the_folder_is_that_of_the_store(folder, tmp_path, mo
     ("text", "words"),
     [
         ("def f(:", "line 1"),
+        ("\0", "cannot be imported: source code"),
         ("import sys; sys.exit(3)", "SystemExit"),
         (GOOD.replace("cable_spring", "backlash"), "taken already"),
     ],

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_json(parser)
     console.add_examples(
         parser,
-        "./tcbi demo                              # some hidden effect, about seven minutes on two cores",
+        "./tcbi demo                              # some hidden effect, about six minutes on two cores",
         "./tcbi demo --quick --hidden backlash",
         "./tcbi demo --hidden none                # must end in: nothing is missing",
         "./tcbi demo --seed 7 --json > demo.json",

@@ -31,10 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """All checks; 1 if there is a fault."""
-    from tcbi_bringup.doctor import FAULT, WARNING, environment_checks, port_checks, robot_checks
+    from tcbi_bringup.doctor import environment_checks, port_checks, robot_checks
     from tcbi_bringup.domain_lock import present_domain
     from tcbi_bringup.errors import WrongCallError
     from tcbi_bringup.graph_check import graph_checks
+    from tcbi_contract.check import FAULT, WARNING
 
     if args.sensor_port and not args.port:
         raise WrongCallError("--sensor-port: got it without --port; give the servo bus's port with --port")

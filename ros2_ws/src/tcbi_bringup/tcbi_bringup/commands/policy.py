@@ -6,6 +6,11 @@ from typing import Any
 from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
 
+UNITS = {
+    **{"cpu_s": "s", "mean_return": "points", "sd_return": "points"},
+    **{"final_inclination_deg": "deg", "distance_m": "m", "median_distance_m": "m"},
+}
+POINTS = "return: points of the task's reward, summed over an episode; docs/policies.md says what each is given for"
 SUMMARY = "List the policies, show one's card, or measure it in simulations drawn from a model."
 
 
@@ -47,8 +52,9 @@ def run(args: argparse.Namespace) -> int:
         console.emit(facts)
     else:
         measured = facts.pop("measured", {})
-        rows = [[key, value] for key, value in {**facts, **measured}.items()]
-        console.table(policy.policy_id, ["what", "value"], rows)
+        rows = [[key, value, UNITS.get(key, "")] for key, value in {**facts, **measured}.items() if value != ""]
+        console.table(policy.policy_id, ["what", "value", "unit"], rows)
+        print(POINTS)
     return 0
 
 
@@ -62,7 +68,8 @@ def _list(args: argparse.Namespace, root: Any) -> int:
         console.emit({"policies": policies, "gaits": gaits})
         return 0
     rows = [[p["policy_id"], p["task"], p["model"], p["mean_return"], p["created"]] for p in policies]
-    console.table("trained policies", ["policy", "task", "model", "mean return", "made"], rows)
+    console.table("trained policies", ["policy", "task", "model", "mean return / points", "made"], rows)
+    print(POINTS)
     print(f"scripted gaits: {', '.join(gaits)}")
     return 0
 

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_examples(
         parser,
         "./tcbi test",
-        "./tcbi test ros2_ws/src/tcbi_sim/test/test_parameter.py",
+        "./tcbi test ros2_ws/src/tcbi_sim/test/test_urdf.py",
         "./tcbi test -m 'not graph and not slow'",
     )
 
