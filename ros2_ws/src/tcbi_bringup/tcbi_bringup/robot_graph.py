@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from tcbi_bringup.emulated_robot.hidden_names import STRENGTHS
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_policy.artefact import find_policy
@@ -27,6 +28,8 @@ class GraphOptions:
       lockstep: simulate as fast as it goes (sim only).
       namespace: before every topic.
       seed: of the simulation or the emulated robot.
+      hidden: effect in the emulated robot, "" to draw it from the seed.
+      strength: of that effect.
       learning: start the inference and the retrain node too.
       recordings: the recorder's folder; None for that of the store.
     """
@@ -39,6 +42,8 @@ class GraphOptions:
     lockstep: bool = False
     namespace: str = ""
     seed: int = 0
+    hidden: str = ""
+    strength: str = STRENGTHS[0]
     learning: bool = True
     recordings: Path | None = None
 
@@ -53,6 +58,10 @@ class GraphOptions:
         if self.lockstep and self.robot != SIM:
             raise LaunchError(
                 f"--lockstep: got --robot {self.robot}, allowed is sim; a robot does not wait for commands"
+            )
+        if self.hidden and self.robot != EMULATED:
+            raise LaunchError(
+                f"--hidden: got --robot {self.robot}, allowed is emulated; only there is known what is hidden"
             )
         if self.robot not in (SIM, EMULATED) and not Path(self.robot).exists():
             raise LaunchError(
@@ -87,7 +96,9 @@ def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
     if options.robot != EMULATED:
         return [node("hexapod_driver", "driver_node", parameters={"port": options.robot})]
     port, socket = emulated_port(folder), folder / "socket"
-    arguments = ("--link", str(port), "--socket", str(socket), "--seed", str(options.seed))
+    place = ("--link", str(port), "--socket", str(socket))
+    hidden = ("--hidden", options.hidden) if options.hidden else ()
+    arguments = (*place, "--seed", str(options.seed), "--strength", options.strength, *hidden)
     return [
         NodeProcess("tcbi_bringup", "emulated_robot", arguments=arguments, ros=False, essential=True),
         node("hexapod_driver", "driver_node", parameters={"port": str(port)}),

@@ -8,7 +8,7 @@ from pathlib import Path
 import tcbi_bringup.emulated_robot as package
 
 FOLDER = Path(package.__file__).parent
-MODULES = sorted(path for path in FOLDER.glob("*.py") if path.stem != "as_measurement")
+MODULES = sorted(path for path in FOLDER.rglob("*.py") if path.stem != "as_measurement")
 TYPES_ONLY = {"Commands", "Measurement", "Scenario"}
 
 

@@ -1,4 +1,4 @@
-"""Each hidden effect changes the motion the way its physics says, `none` changes nothing."""
+"""The effects that a robot's number draws from change the motion the way their physics says; `none` changes nothing."""
 
 from functools import cache
 from typing import Any
@@ -9,7 +9,9 @@ import pytest
 from tcbi_bringup.emulated_robot import drawing as drawings
 from tcbi_bringup.emulated_robot.errors import EmulatedRobotError
 from tcbi_bringup.emulated_robot.gear import GearGap
-from tcbi_bringup.emulated_robot.hidden_effects import EFFECTS, BristleFriction, choose
+from tcbi_bringup.emulated_robot.hidden.friction import BristleFriction
+from tcbi_bringup.emulated_robot.hidden_effects import EFFECTS, choose
+from tcbi_bringup.emulated_robot.hidden_names import DRAWN, LIBRARY, NAMES
 from tcbi_bringup.emulated_robot.mechanics import GRAVITY, Build, Scene
 from tcbi_bringup.emulated_robot.physics import Physics, Specimen
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot, Recording, Script, roll_pitch_yaw
@@ -115,7 +117,7 @@ def test_a_payload_adds_its_weight_and_leans_the_trunk_to_its_side() -> None:
     assert pitch * truth("payload")["x_m"] > 1e-5  # nose down is a positive pitch
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", DRAWN)
 def test_every_effect_stands_out_of_the_noise_and_more_when_strong(name: str) -> None:
     reference = swing("none").joint_position
     floor = np.sqrt(np.mean(np.square(swing("none", trial=1).joint_position - reference)))
@@ -135,19 +137,35 @@ def test_none_has_nothing_hidden() -> None:
     effect.attach(build, drawing)
     torque = np.linspace(-0.4, 0.4, 18)
     assert build == Build(drawing.damping, drawing.armature, [])
-    assert effect.truth == {} and effect.gear is None
+    assert effect.truth == {} and GearGap.of(build, 18) is None
     assert effect.bus_delay(np.random.default_rng(0)) == 0.0
-    assert np.array_equal(effect.drive(torque.copy()), torque)
+    assert effect.hear([(0, 0.1)], True, np.random.default_rng(0)) == [(0, 0.1)]
+    assert np.array_equal(effect.drive(torque.copy(), torque), torque)
+    assert not any(effect.uses(hook) for hook in ("resist", "act", "mount", "gyro"))
     assert effect.resist(torque, 1e-3) is None
 
 
 def test_seeds_draw_every_effect_and_the_same_one_each_time() -> None:
     drawn = [Specimen.of(seed).hidden for seed in range(60)]
-    assert set(drawn) == set(EFFECTS)
+    assert set(drawn) == set(DRAWN)
     assert drawn == [Specimen.of(seed).hidden for seed in range(60)]
 
 
-@pytest.mark.parametrize(("hidden", "strength"), [("gremlins", "strong"), ("payload", "huge")])
+def test_every_name_has_its_effect() -> None:
+    assert tuple(EFFECTS) == NAMES and len(set(NAMES)) == len(NAMES)
+
+
+def test_every_effect_of_the_models_library_can_be_hidden() -> None:
+    from tcbi_sim.effects import built_in
+    from tcbi_sim.rigs import load_rig
+
+    hexapod = load_rig("hexapod")
+    assert set(LIBRARY) == {name for name, effect in built_in().items() if not effect.requires(hexapod)}
+
+
+@pytest.mark.parametrize(
+    ("hidden", "strength"), [("gremlins", "strong"), ("payload+gremlins", "weak"), ("payload", "huge")]
+)
 def test_an_unknown_effect_or_strength_is_refused_by_name(hidden: str, strength: str) -> None:
     with pytest.raises(EmulatedRobotError, match=r"gremlins|huge"):
         Specimen.of(0, hidden, strength)

@@ -67,6 +67,15 @@ def test_an_emulated_robot_and_its_driver_share_a_port():
     assert driver.namespace == experimenter.namespace == "left"
 
 
+def test_what_is_hidden_in_an_emulated_robot_is_told_to_it_alone():
+    emulated, driver, _ = robot_processes(options(robot="emulated", hidden="payload", strength="weak"), Path("run"))
+    chosen = emulated.arguments[emulated.arguments.index("--strength") :]
+    assert chosen == ("--strength", "weak", "--hidden", "payload") and "payload" not in str(driver)
+    assert "--hidden" not in robot_processes(options(robot="emulated"), Path("run"))[0].arguments
+    with pytest.raises(LaunchError, match="--hidden: got --robot sim, allowed is emulated"):
+        options(hidden="payload").check()
+
+
 def test_a_recorder_that_is_told_where_to_record_leaves_the_store_s_folder_to_others(tmp_path):
     def folder(**more) -> str:
         recorder = next(p for p in companion_processes(options(**more)) if p.executable == "recorder_node")

@@ -12,6 +12,7 @@ from typing import Any
 
 from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
+from tcbi_bringup.errors import WrongCallError
 
 SUMMARY = "Record rollouts of a task, one bag each, from the running graph or from one that is started for it."
 READY_S = 40.0  # for the nodes to be there
@@ -25,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=at_least(0), default=0, help="slopes, blocks and postures are drawn from it (default: 0)"
     )
+    console.add_hidden(parser)
     parser.add_argument(
         "--robot",
         default="running",
@@ -64,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi collect --task balance --n 5 --seed 1",
         "./tcbi collect --robot sim --task forward --n 3 --policy gait:tripod --out bags",
         "./tcbi collect --robot emulated --task balance --n 10 --json",
+        "./tcbi collect --robot emulated --hidden backlash --seed 7 --policy gait:steps --n 4",
     )
 
 
@@ -106,6 +109,10 @@ def run(args: argparse.Namespace) -> int:
 def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]]:
     """The graph to record from, nothing to do for one that runs; yields what raises if a process of it has failed."""
     if args.robot == "running":
+        if args.hidden:
+            raise WrongCallError(
+                "--hidden: got --robot running, allowed is emulated; that robot is built for this call"
+            )
         yield lambda: None
         return
     from tcbi_bringup.domain_lock import hold_domain, refuse_second_graph
@@ -129,6 +136,8 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
         namespace=args.namespace.strip("/"),
         store=console.store_folder(args.store),
         seed=args.seed,
+        hidden=args.hidden,
+        strength=args.strength,
         learning=False,
         recordings=args.out.resolve() if args.out else None,
     )

@@ -41,6 +41,23 @@ def add_examples(parser: argparse.ArgumentParser, *examples: str) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
 
 
+def add_hidden(parser: argparse.ArgumentParser) -> None:
+    """What is hidden in an emulated robot."""
+    from tcbi_bringup.emulated_robot.hidden_names import DRAWN, STRENGTHS, hidden
+
+    parser.add_argument(
+        "--hidden",
+        type=hidden,
+        default="",
+        metavar="EFFECT",
+        help="what is hidden in an emulated robot: an effect of the library, one outside it, several joined by +, or "
+        f"none; docs/emulated_robot.md lists them (default: drawn from the seed: {', '.join(DRAWN)})",
+    )
+    parser.add_argument(
+        "--strength", choices=STRENGTHS, default=STRENGTHS[0], help=f"of what is hidden (default: {STRENGTHS[0]})"
+    )
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """`--json`: one object on standard output, everything else on standard error."""
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output and nothing else there")

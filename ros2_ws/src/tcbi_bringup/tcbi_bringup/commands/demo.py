@@ -12,22 +12,13 @@ if TYPE_CHECKING:
     from tcbi_bringup.demo.story import Outcome
 
 SUMMARY = "The whole story on an emulated robot: record, compare, diagnose, add, infer, retrain, measure again."
-EFFECTS = ("coulomb_friction", "viscous_damping", "command_latency", "backlash", "weak_leg", "payload")
-NONE = "none"
 NICENESS = 5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which robot, and how long the story may take."""
     parser.add_argument("--seed", type=_seed, default=1, help="number of the robot (default: 1)")
-    parser.add_argument(
-        "--hidden",
-        choices=(*EFFECTS, NONE),
-        default="",
-        metavar="EFFECT",
-        help=f"what is hidden in it: {', '.join(EFFECTS)} or none (default: drawn from the seed)",
-    )
-    parser.add_argument("--strength", choices=("strong", "weak"), default="strong", help="of the hidden effect")
+    console.add_hidden(parser)
     parser.add_argument(
         "--quick", action="store_true", help="a shorter story: fewer motions, six effects, little training"
     )

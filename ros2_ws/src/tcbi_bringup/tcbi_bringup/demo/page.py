@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from tcbi_bringup.demo.story import Outcome, mean_return, tilt
+from tcbi_bringup.emulated_robot.hidden_names import parts
 from tcbi_infer.report import Report, Section, Table, add_comparison, add_diagnosis, add_history, add_ladder
 from tcbi_policy.reward import episode_reward
 from tcbi_sim.model import Model
@@ -49,7 +50,7 @@ def label(model: Model) -> str:
 def _in_short(report: Report, outcome: Outcome, truth: dict[str, object]) -> None:
     steps = [f"{step}: {text}" for step, text in outcome.narration.lines]
     hidden = str(truth["hidden"])
-    right = hidden in [e.partition(":")[0] for e in outcome.effects] if hidden != "none" else not outcome.effects
+    right = set(parts(hidden)) == {e.partition(":")[0] for e in outcome.effects}
     said = ", ".join(outcome.effects) or "nothing"
     verdict = f"Hidden in the robot: {hidden if hidden != 'none' else 'nothing'}. Found: {said}."
     report.add(Section("In short", verdict=verdict, tone="good" if right else "warn", notes=steps))

@@ -72,8 +72,8 @@ class LiveBody:
             return BodyState(
                 time_s=sample.time,
                 joint_position=sample.joint_position,
-                voltage=BATTERY_V - LINE_DROP_V * float(np.abs(sample.load).mean()),
-                temperature=self._temperature.copy(),
+                voltage=BATTERY_V * self._physics.supply() - LINE_DROP_V * float(np.abs(sample.load).mean()),
+                temperature=self._temperature + self._physics.warmth(),
                 load=sample.load,
                 attitude=np.array([x, y, z, w]),
                 angular_velocity=sample.angular_velocity,

@@ -22,7 +22,7 @@ from hexapod_driver import calibration
 from tcbi_bringup.emulated_robot.errors import EmulatedRobotError
 from tcbi_bringup.emulated_robot.experimenter import ExperimenterServer, default_socket_path
 from tcbi_bringup.emulated_robot.firmware import Electronics
-from tcbi_bringup.emulated_robot.hidden_effects import EFFECTS, NONE, STRENGTHS
+from tcbi_bringup.emulated_robot.hidden_names import STRENGTHS, hidden
 from tcbi_bringup.emulated_robot.live_body import LiveBody
 from tcbi_bringup.emulated_robot.physics import Specimen
 from tcbi_bringup.emulated_robot.port import PseudoTerminal, serve
@@ -35,7 +35,12 @@ def parser() -> argparse.ArgumentParser:
         prog="emulated_robot", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     p.add_argument("--seed", type=int, default=0, help="number of the robot: its parameters, and what is hidden in it")
-    p.add_argument("--hidden", choices=(*EFFECTS, NONE), help="the hidden effect (default: drawn from the seed)")
+    p.add_argument(
+        "--hidden",
+        type=hidden,
+        metavar="EFFECT",
+        help="the hidden effect, several joined by +, or none (default: drawn from the seed); docs/emulated_robot.md",
+    )
     p.add_argument("--strength", choices=STRENGTHS, default=STRENGTHS[0], help="of the hidden effect (default: strong)")
     p.add_argument("--trial", type=int, default=0, help="draws the noise of the sensors and of the bus (default: 0)")
     p.add_argument("--ports", type=int, choices=(1, 2), default=1, help="1: all over one link; 2: bus and board apart")

@@ -6,8 +6,8 @@ rubber caps: stiff contacts, an elliptic friction cone and a friction that is ha
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import mujoco
 
@@ -58,6 +58,17 @@ class Build:
     joint_damping: float  # N m s/rad at the leg's side of the gear
     joint_armature: float  # kg m^2 at the leg's side of the gear
     loads: list[Load]
+    gap: float = 0.0  # rad between motor and leg
+    rotor: float = 0.0  # kg m^2 at the output shaft, beside the drawing's
+    compliance: float = 0.0  # rad/(N m) between motor and leg
+    gain_factor: dict[int, float] = field(default_factory=dict)  # of single servos
+    horn_offset: dict[str, float] = field(default_factory=dict)  # rad by joint: true angle less the servo's
+    shin_bend: dict[str, float] = field(default_factory=dict)  # rad by leg, sideways at the knee
+    shin_length: dict[str, float] = field(default_factory=dict)  # by leg, over the drawing's
+    imu_tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch against the trunk
+    slope: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch of the ground beyond the scene's
+    contact: Mapping[str, str] = field(default_factory=lambda: CONTACT)
+    feet_decide: bool = False  # on friction, in place of the greater of foot's and ground's
 
 
 def gravity(scene: Scene) -> tuple[float, float, float]:
@@ -65,6 +76,12 @@ def gravity(scene: Scene) -> tuple[float, float, float]:
     cr, sr = math.cos(scene.slope_roll), math.sin(scene.slope_roll)
     cp, sp = math.cos(scene.slope_pitch), math.sin(scene.slope_pitch)
     return (GRAVITY * sp, -GRAVITY * sr * cp, -GRAVITY * cr * cp)
+
+
+def tilted(roll: float, pitch: float) -> tuple[float, float, float, float]:
+    """w x y z of Ry(pitch) Rx(roll), angles in rad."""
+    cr, sr, cp, sp = math.cos(roll / 2), math.sin(roll / 2), math.cos(pitch / 2), math.sin(pitch / 2)
+    return (cr * cp, sr * cp, cr * sp, -sr * sp)
 
 
 def compile_model(drawing: Drawing, character: Character, build: Build, scene: Scene) -> mujoco.MjModel:
@@ -89,12 +106,12 @@ def _document(drawing: Drawing, character: Character, build: Build, scene: Scene
     default = _add(root, "default")
     stop = HORN_STOP * drawing.joint_range
     _add(default, "joint", damping=build.joint_damping, armature=build.joint_armature, range=(-stop, stop))
-    _add(default, "geom", condim="4", friction=(character.friction, *TURNING_FRICTION), **CONTACT)
+    _add(default, "geom", condim="4", friction=(character.friction, *TURNING_FRICTION), **build.contact)
     world = _add(root, "worldbody")
     _ground(world, scene)
     trunk = _trunk(world, drawing, character, build)
     for leg, hip in drawing.hips.items():
-        _leg(trunk, leg, hip, drawing, character.mass / drawing.mass)
+        _leg(trunk, leg, hip, drawing, character.mass / drawing.mass, build)
     sensor = _add(root, "sensor")
     _add(sensor, "gyro", site="imu_link")
     _add(sensor, "accelerometer", site="imu_link")
@@ -113,7 +130,7 @@ def _ground(world: ET.Element, scene: Scene) -> None:
 def _trunk(world: ET.Element, drawing: Drawing, character: Character, build: Build) -> ET.Element:
     trunk = _add(world, "body", name="base_link")
     _add(trunk, "freejoint")
-    _add(trunk, "site", name="imu_link", pos=drawing.imu_position)
+    _add(trunk, "site", name="imu_link", pos=drawing.imu_position, quat=tilted(*build.imu_tilt))
     mass = drawing.trunk_mass * character.mass / drawing.mass
     _add(trunk, "geom", name="trunk", type="box", size=[e / 2 for e in drawing.trunk_size], mass=mass, **_SOLID)
     for i, load in enumerate(build.loads):
@@ -122,18 +139,21 @@ def _trunk(world: ET.Element, drawing: Drawing, character: Character, build: Bui
     return trunk
 
 
-def _leg(trunk: ET.Element, leg: str, hip: Hip, drawing: Drawing, mass_scale: float) -> None:
+def _leg(trunk: ET.Element, leg: str, hip: Hip, drawing: Drawing, mass_scale: float, build: Build) -> None:
     """Coxa, femur, tibia and foot; in each link's frame x points outward and z up at zero."""
     forward = (0, 0, -1) if hip.direction > 0 else (0, 0, 1)
     outward = (0, -1, 0)
     elevation, tilt = drawing.femur_elevation, drawing.tibia_tilt
     elbow = (drawing.coxa_length, 0.0, 0.0)
     knee = (drawing.femur_length * math.cos(elevation), 0.0, drawing.femur_length * math.sin(elevation))
-    foot = (drawing.tibia_length * math.sin(tilt), 0.0, -drawing.tibia_length * math.cos(tilt))
+    shin, bend = drawing.tibia_length * build.shin_length.get(leg, 1.0), build.shin_bend.get(leg, 0.0)
+    down = shin * math.cos(tilt)
+    foot = (shin * math.sin(tilt), -down * math.sin(bend), -down * math.cos(bend))
     radius = SLIMMER * drawing.link_radius
 
     def link(name: str, parent: ET.Element, start: _Vector, axis: _Vector, end: _Vector, mass: float) -> ET.Element:
-        turn = (0, 0, hip.direction) if name == "coxa" else (0, 0, 0)
+        slipped = build.horn_offset.get(f"{leg}_{name}", 0.0)
+        turn = (0, 0, hip.direction + slipped * axis[2]) if name == "coxa" else (0, slipped * axis[1], 0)
         collision = _HOLLOW if name == "coxa" else _SOLID
         body = _add(parent, "body", name=f"{leg}_{name}", pos=start, euler=turn)
         _add(body, "joint", name=f"{leg}_{name}", axis=axis)
@@ -143,7 +163,8 @@ def _leg(trunk: ET.Element, leg: str, hip: Hip, drawing: Drawing, mass_scale: fl
     coxa = link("coxa", trunk, hip.position, forward, elbow, drawing.coxa_mass)
     femur = link("femur", coxa, elbow, outward, knee, drawing.femur_mass)
     tibia = link("tibia", femur, knee, outward, foot, drawing.tibia_mass)
-    _add(tibia, "geom", name=f"{leg}_foot", type="sphere", pos=foot, size=drawing.foot_radius, mass=0, **_SOLID)
+    own = {"priority": "1"} if build.feet_decide else {}
+    _add(tibia, "geom", name=f"{leg}_foot", type="sphere", pos=foot, size=drawing.foot_radius, mass=0, **_SOLID, **own)
     _add(tibia, "site", name=f"{leg}_switch", pos=foot, size=1.3 * drawing.foot_radius)
 
 

@@ -12,6 +12,7 @@ between two repeats of the same run: how the robot was put down, the noise of th
 
 import dataclasses
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import mujoco
@@ -22,12 +23,14 @@ from tcbi_bringup.emulated_robot import drawing as drawings
 from tcbi_bringup.emulated_robot import hidden_effects, mechanics
 from tcbi_bringup.emulated_robot.character import Character
 from tcbi_bringup.emulated_robot.circumstances import Circumstances
+from tcbi_bringup.emulated_robot.gear import GearGap
 from tcbi_bringup.emulated_robot.mechanics import Build, Scene
 from tcbi_bringup.emulated_robot.sensors import Encoders, FootSwitches, Imu
 from tcbi_bringup.emulated_robot.servos import LOOP_PERIOD_S, STEP, Move, Servos
 
 SUBSTEPS = round(LOOP_PERIOD_S / mechanics.STEP_S)
 PACKET_S = 0.003  # goals sent within this time travel in one packet
+POLL_TICKS = 3  # between two turns of a board that reads its sensors ahead of time
 DROP_HEIGHT = 0.001  # m between the lowest foot and the ground when the robot is let go
 
 
@@ -97,16 +100,22 @@ class Physics:
         self._effect = hidden_effects.choose(specimen.hidden, specimen.strength, specimen.seed)[2]
         self._build = Build(drawing.damping, drawing.armature, [])
         self._effect.attach(self._build, drawing)
-        self._resists = type(self._effect).resist is not hidden_effects.HiddenEffect.resist
+        self._gear = GearGap.of(self._build, characters.JOINT_COUNT)
+        hooks = ("drive", "resist", "act", "mount")
+        self._drives, self._resists, self._acts, self._mounts = (self._effect.uses(hook) for hook in hooks)
         limit = np.full(characters.JOINT_COUNT, drawing.torque_limit)
         self._gain = character.gain * character.gain_factor
+        for servo, factor in self._build.gain_factor.items():
+            self._gain[servo] *= factor
         self.servos = Servos(self._gain.copy(), limit, drawing.speed_limit)
         streams = [np.random.default_rng([specimen.seed, 3, trial, part]) for part in range(5)]
         self._bus, imu, encoders, switches, self._hands = streams
         self._encoders = Encoders(encoders)
         self._imu = Imu(np.random.default_rng([specimen.seed, 4]), imu, LOOP_PERIOD_S)
         self._switches = FootSwitches(drawing.foot_threshold * character.switch_factor, switches, LOOP_PERIOD_S)
-        self._packet = (-1.0, 0.0)  # s, when the latest packet was sent and when it comes in
+        self._packet = (-1.0, 0.0)  # s, when the latest packet was sent and when it comes in, if ever
+        ticks = self._effect.age_s / LOOP_PERIOD_S - (POLL_TICKS - 1) / 2  # that the board's queue holds back
+        self._polled: deque[Sample] = deque(maxlen=1 + round(ticks / POLL_TICKS) if self._effect.age_s else 0)
         self._clock = 0  # ticks since the robot was switched on
         self._torque = np.zeros(characters.JOINT_COUNT)
         self._encoder = np.zeros(characters.JOINT_COUNT)
@@ -120,8 +129,7 @@ class Physics:
     @property
     def shaft(self) -> np.ndarray:
         """(18,) rad, where the encoders' magnets truly stand."""
-        gear = self._effect.gear
-        return self._angles if gear is None else gear.position
+        return self._angles if self._gear is None else self._gear.position
 
     def place(self, scene: Scene, joint_position: np.ndarray | None = None) -> None:
         """Set up the ground and put the robot down on it at rest, with its middle over the origin, as well as one can.
@@ -140,13 +148,16 @@ class Physics:
         self._angles[:] = angles
         self._stand_on_the_ground(self.scene.yaw)
         self._effect.reset(angles)
-        if self._effect.gear is not None:
-            self._effect.gear.reset(shaft)
+        if self._gear is not None:
+            self._gear.reset(shaft)
         if joint_position is not None:
             self.servos.reset(joint_position)
         self._encoder = np.rint(self.shaft / STEP) * STEP
-        self._imu.reset(self.true_attitude(), self._motion[3:])
+        chip = np.zeros(4)
+        mujoco.mju_mulQuat(chip, self.true_attitude(), np.array(mechanics.tilted(*self._build.imu_tilt)))
+        self._imu.reset(chip, self._motion[3:])
         self._switches.reset()
+        self._polled.clear()
 
     def send(self, goals: np.ndarray, duration: float, speed: float = 0.0) -> None:
         """Send goals (18,) rad to all servos in one packet; each ramps to its own within `duration` (s)."""
@@ -154,9 +165,12 @@ class Physics:
 
     def send_each(self, goals: list[tuple[int, float]], duration: float, speed: float = 0.0) -> None:
         """Send goals (servo, rad) in one packet."""
-        if self.time - self._packet[0] > PACKET_S:
+        fresh = self.time - self._packet[0] > PACKET_S
+        if fresh:
             self._packet = (self.time, self.time + self._effect.bus_delay(self._bus))
-        for index, goal in goals:
+        if math.isinf(self._packet[1]):
+            return
+        for index, goal in self._effect.hear(goals, fresh, self._bus):
             self.servos.send(Move(self._packet[1], index, goal, duration, speed))
 
     def switch(self, index: int, on: bool) -> None:
@@ -170,13 +184,24 @@ class Physics:
             self._tick()
 
     def read(self) -> Sample:
-        """The sensors, now."""
+        """The sensors, now; what an old reading says is stamped now all the same."""
+        return dataclasses.replace(self._polled[0], time=self.time) if self._polled else self._sample()
+
+    def supply(self) -> float:
+        """Volts at the servos over those of a battery without load, as far as the hidden effect changes them."""
+        return self._effect.supply()
+
+    def warmth(self) -> np.ndarray | float:
+        """(18,) K by which the servos are warmer than their load explains."""
+        return self._effect.warmth()
+
+    def _sample(self) -> Sample:
         attitude, gyro, acceleration = self._imu.read()
         return Sample(
             time=self.time,
             joint_position=self._encoders.read(self.shaft),
             attitude=attitude,
-            angular_velocity=gyro,
+            angular_velocity=self._effect.gyro(gyro, self.time),
             linear_acceleration=acceleration,
             contact=self._switches.read(self.time),
             load=np.clip(self._torque / self.servos.torque_limit, -1.0, 1.0),
@@ -196,10 +221,11 @@ class Physics:
 
     def _build_on(self, scene: Scene, now: Circumstances) -> None:
         """Compile robot and ground, and take views of the state that the loop works on."""
+        roll, pitch = self._build.slope
         self.scene = dataclasses.replace(
             scene,
-            slope_roll=scene.slope_roll + now.slope_roll,
-            slope_pitch=scene.slope_pitch + now.slope_pitch,
+            slope_roll=scene.slope_roll + now.slope_roll + roll,
+            slope_pitch=scene.slope_pitch + now.slope_pitch + pitch,
             yaw=scene.yaw + now.yaw,
         )
         character = self.specimen.character
@@ -210,23 +236,31 @@ class Physics:
         self._angles, self._speeds = self.data.qpos[7:], self.data.qvel[6:]
         self._force = self.data.qfrc_applied[6:]
         self._motion, self._feet = self.data.sensordata[:6], self.data.sensordata[6:]
+        self._effect.bind(self.model)
 
     def _tick(self) -> None:
-        encoder, effect = self._encoder, self._effect
+        encoder, effect, gear = self._encoder, self._effect, self._gear
         np.divide(self.shaft, STEP, out=encoder)
         np.rint(encoder, out=encoder)
         np.multiply(encoder, STEP, out=encoder)
-        torque = effect.drive(self.servos.torque(self.time + LOOP_PERIOD_S / 2, encoder))
+        torque = self.servos.torque(self.time + LOOP_PERIOD_S / 2, encoder)
+        if self._drives:
+            torque = effect.drive(torque, self._speeds if gear is None else gear.velocity) * self.servos.on
         self._torque = torque
-        if effect.gear is not None:
-            torque = effect.gear.push(torque, self._angles, self._speeds, LOOP_PERIOD_S)
+        if gear is not None:
+            torque = gear.push(torque, self._angles, self._speeds, LOOP_PERIOD_S)
         if self._resists:
             torque = torque + effect.resist(self._speeds, LOOP_PERIOD_S)
         self._force[:] = torque
+        if self._acts:
+            self.data.xfrc_applied[:] = 0.0
+            effect.act(self.model, self.data)
         mujoco.mj_step(self.model, self.data, SUBSTEPS)
         self._clock += 1
-        self._imu.tick(self._motion)
+        self._imu.tick(effect.mount(self._motion, LOOP_PERIOD_S) if self._mounts else self._motion)
         self._switches.tick(self._feet, self.time)
+        if self._polled.maxlen and self._clock % POLL_TICKS == 0:
+            self._polled.append(self._sample())
 
     def _stand_on_the_ground(self, yaw: float) -> None:
         """Lift the robot until nothing touches, then lower it until its lowest part is a hair above what lies below."""
@@ -246,12 +280,4 @@ class Physics:
 
 def ground_attitude(scene: Scene) -> np.ndarray:
     """(4,) w x y z of Ry(pitch) Rx(roll), the ground in the world."""
-    r, p = scene.slope_roll / 2, scene.slope_pitch / 2
-    return np.array(
-        [
-            math.cos(r) * math.cos(p),
-            math.sin(r) * math.cos(p),
-            math.cos(r) * math.sin(p),
-            -math.sin(r) * math.sin(p),
-        ]
-    )
+    return np.array(mechanics.tilted(scene.slope_roll, scene.slope_pitch))

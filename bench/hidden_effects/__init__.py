@@ -1,0 +1,1 @@
+"""The hidden-effect benchmark: robots with something hidden in them, recorded, diagnosed and judged."""

@@ -1,0 +1,134 @@
+"""One robot of the benchmark: recorded, diagnosed until nothing more is found, judged on motions that no fit saw."""
+
+import dataclasses
+import json
+import multiprocessing
+import resource
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from tcbi_bringup.demo.plan import FULL, QUICK, Plan, slope_of
+from tcbi_bringup.emulated_robot.as_measurement import measure
+from tcbi_bringup.emulated_robot.hidden_names import parts
+from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
+from tcbi_infer.collection import Request, scenario_of
+from tcbi_infer.compare.comparison import compare
+from tcbi_infer.diagnose.adopt import adopt
+from tcbi_infer.diagnose.diagnosis import diagnose
+from tcbi_infer.diagnose.evidence import EFFECT, Diagnosis
+from tcbi_policy.gaits import Gait
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model, base_model
+
+# 90 s of motion as a user would record it, against the whole library
+BENCH = dataclasses.replace(
+    FULL,
+    motions=("steps", "sinus", "tripod", "squat", "steps:1", "twist", "dither", "sinus:1", "chirp"),
+    motion_s=5.0,
+    effects=(),
+)
+PLANS = {"quick": QUICK, "full": FULL, "bench": BENCH}
+ROUNDS = 3  # diagnoses of a robot with several effects, at most
+Job = tuple[str, str, str, int]  # plan, hidden, strength, seed
+Result = dict[str, Any]
+
+
+def recorded(robot: EmulatedRobot, gaits: tuple[str, ...], plan: Plan, seed: int) -> list[Measurement]:
+    """The plan's motions, each twice, on the same slopes as in the demo."""
+    rollouts = []
+    for i, gait in enumerate(gaits):
+        roll, pitch = slope_of(i)
+        request = Request("balance", 1, seed + i, slope_roll=(roll,), slope_pitch=(pitch,), duration_s=plan.motion_s)
+        for trial in (0, 1):
+            rollout = measure(robot, scenario_of(request, 0), Gait(gait), trial=2 * (seed + i) + trial)
+            rollouts.append(dataclasses.replace(rollout, rollout_id=f"{gait}-{trial}"))
+    return rollouts
+
+
+def judged(job: Job) -> Result:
+    """Record a robot, diagnose it, add what is found, and judge the new version on motions that no fit has seen.
+
+    A robot with several effects is diagnosed again with what was found in the model, until no effect is found.
+    """
+    plan_name, hidden, strength, seed = job
+    plan = PLANS[plan_name]
+    robot = EmulatedRobot(seed, hidden, strength)
+    seen, unseen = recorded(robot, plan.motions, plan, 0), recorded(robot, plan.unseen, plan, 100)
+    model = base_model("hexapod")
+    began, cpu = time.perf_counter(), time.process_time()
+    rounds, added = _diagnosed(model, seen, plan, ROUNDS if len(parts(hidden)) > 1 else 1)
+    spent = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
+    floor = compare(model, seen, particles=0).floor
+    errors = [compare(m, unseen, particles=0, floor=floor).error_over_floor for m in (model, added)]
+    return {
+        **dict(zip(("plan", "hidden", "strength", "seed"), job, strict=True)),
+        **_told(rounds[0]),
+        "found": [use for found in rounds if found.verdict == EFFECT for use in found.uses[:1]],
+        "rounds": [_told(found) for found in rounds[1:]],
+        "errors": errors,
+        "truth": robot.specimen.truth(),
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        **spent,
+    }
+
+
+def _diagnosed(model: Model, seen: list[Measurement], plan: Plan, most: int) -> tuple[list[Diagnosis], Model]:
+    """Diagnoses, each of the version that the one before made, and the last version."""
+    rounds: list[Diagnosis] = []
+    while len(rounds) < most:
+        uses = [use for use in plan.effects if use not in model.effects] or None
+        found = diagnose(model, seen, uses=uses, settings=plan.settings)
+        rounds.append(found)
+        model = adopt(model, found.uses[0] if found.verdict == EFFECT else "", found.to_json())
+        if found.verdict != EFFECT:
+            break
+    return rounds, model
+
+
+def _told(found: Diagnosis) -> Result:
+    """What one diagnosis says, as plain values."""
+    return {
+        "verdict": found.verdict,
+        "uses": list(found.uses),
+        "first": found.ranking[0].use if found.ranking else "",
+        "statistic": found.ranking[0].statistic if found.ranking else None,
+        "threshold": found.threshold,
+        "base": [dataclasses.asdict(p) for p in found.base.parameters],
+        "ranking": [
+            {"use": e.use, "statistic": e.statistic, "accepted": e.accepted, "reason": e.reason,
+             "error_after": e.error_after, "confused_with": list(e.confused_with),
+             "parameters": [dataclasses.asdict(p) for p in e.parameters]}
+            for e in found.ranking if e.refined
+        ],
+        "statement": found.statement,
+    }  # fmt: skip
+
+
+def results(
+    jobs: list[Job], keep: Path | None, workers: int, progress: Callable[[int, int, float, Result], None]
+) -> Iterator[Result]:
+    """Of all jobs, those kept from an earlier run first.
+
+    Args:
+      jobs: which robots.
+      keep: file of one JSON line for each robot; new ones are added to it.
+      workers: processes.
+      progress: called with how many of how many are done, the seconds left, and the newest result.
+    """
+    done: dict[Job, Result] = {}
+    if keep and keep.exists():
+        for line in keep.read_text().splitlines():
+            old = json.loads(line)
+            done[old["plan"], old["hidden"], old["strength"], old["seed"]] = old
+    yield from (done[job] for job in jobs if job in done)
+    left = [job for job in jobs if job not in done]
+    began = time.monotonic()
+    with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=1) as pool:
+        for i, result in enumerate(pool.imap_unordered(judged, left), 1):
+            if keep:
+                with keep.open("a") as file:
+                    file.write(json.dumps(result, default=str) + "\n")
+            progress(i, len(left), (time.monotonic() - began) / i * (len(left) - i), result)
+            yield result

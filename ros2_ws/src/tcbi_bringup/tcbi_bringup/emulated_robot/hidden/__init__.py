@@ -1,0 +1,1 @@
+"""What can be hidden in an emulated robot, by the part of the robot that it sits in."""

@@ -1,0 +1,157 @@
+"""The hidden-effect benchmark counts what a diagnosis says as what it is; its robots are those asked for."""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+LEG = {"leg": "lm", "remaining_torque_share": 0.5}
+PAIR = {"backlash": {"gap_rad": 0.05}, "payload": {"mass_kg": 0.2}}
+
+
+@pytest.fixture(autouse=True)
+def beside_the_scripts(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What runs a script of the folder, too: its modules are found from there."""
+    monkeypatch.syspath_prepend(str(BENCH))
+    return
+
+
+def result(hidden: str, verdict: str, *uses: str, effect: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+    truth = {"friction": 0.7, "mass": 0.8, "gain": 2.5, "effect": effect or {}}
+    return {
+        **{"hidden": hidden, "strength": "strong", "seed": 1, "verdict": verdict, "uses": list(uses), "truth": truth},
+        **{"first": uses[0] if uses else "", "ranking": [], "base": [], "errors": [9.0, 1.1]},
+        **{"wall_s": 50.0, "cpu_s": 40.0, "peak_mib": 200.0, **more},
+    }
+
+
+@pytest.mark.parametrize(
+    ("told", "word"),
+    [
+        (result("none", "nothing_missing"), "right"),
+        (result("none", "effect", "payload"), "false alarm"),
+        (result("none", "outside_library"), "false alarm"),
+        (result("weak_leg", "effect", "weak_leg:lm", effect=LEG), "right"),
+        (result("weak_leg", "effect", "weak_leg:lf", effect=LEG), "wrong"),
+        (result("weak_leg", "cannot_tell", "payload", "weak_leg:lm", effect=LEG), "unsure"),
+        (result("weak_leg", "cannot_tell", "payload", "backlash", effect=LEG), "wrong"),
+        (result("weak_leg", "nothing_missing", effect=LEG), "missed"),
+        (result("cogging", "outside_library"), "flagged"),
+        (result("cogging", "effect", "coulomb_friction"), "wrong"),
+        (result("cogging", "cannot_tell", "backlash", "payload"), "unsure"),
+        (result("cogging", "nothing_missing"), "missed"),
+    ],
+)
+def test_one_word_says_how_a_diagnosis_came_out(told: dict[str, Any], word: str) -> None:
+    from hidden_effects.outcomes import outcome
+
+    assert outcome(told) == word
+
+
+@pytest.mark.parametrize(
+    ("found", "word"),
+    [
+        (["payload", "backlash"], "both"),
+        (["payload", "backlash", "imu_tilt"], "both and another"),
+        (["payload", "imu_tilt"], "one of two"),
+        (["imu_tilt"], "wrong"),
+        ([], "missed"),
+    ],
+)
+def test_of_two_effects_both_must_be_found_and_no_third(found: list[str], word: str) -> None:
+    from hidden_effects.outcomes import outcome
+
+    verdict = "effect" if found else "nothing_missing"
+    assert outcome(result("backlash+payload", verdict, *found[:1], effect=PAIR, found=found)) == word
+
+
+def test_a_robot_of_an_older_run_counts_what_its_only_diagnosis_named() -> None:
+    from hidden_effects.truth import found
+
+    assert found(result("payload", "effect", "payload")) == ["payload"]
+    assert found(result("payload", "cannot_tell", "payload", "backlash")) == []
+
+
+def test_first_and_alike_are_counted_apart_from_the_verdict() -> None:
+    from hidden_effects.outcomes import ranked_first, twin_ranked_first
+
+    twin = {"use": "sensor_latency", "confused_with": ["command_latency"]}
+    told = result("command_latency", "cannot_tell", "sensor_latency", "command_latency", ranking=[twin])
+    assert not ranked_first(told) and twin_ranked_first(told)
+    assert ranked_first(result("payload", "nothing_missing", first="payload"))
+
+
+def test_an_interval_is_held_against_the_true_size_of_what_was_found() -> None:
+    from hidden_effects.truth import size_hits
+
+    def fitted(low: float, high: float) -> list[dict[str, Any]]:
+        return [{"use": "backlash", "parameters": [{"name": "backlash.gap", "low90": low, "high90": high}]}]
+
+    for later in (fitted(0.04, 0.06), fitted(0.06, 0.08)):
+        told = result("backlash+payload", "effect", "payload", effect=PAIR, found=["payload", "backlash"])
+        told |= {"ranking": [{"use": "payload", "parameters": []}], "rounds": [{"ranking": later}]}
+        assert list(size_hits(told)) == [("backlash", later[0]["parameters"][0]["low90"] < 0.05)]
+    missed = result("backlash", "nothing_missing", effect=PAIR["backlash"], ranking=fitted(0.04, 0.06))
+    assert not list(size_hits(missed))
+
+
+def test_figures_stand_beside_their_targets() -> None:
+    from hidden_effects.figures import figures
+
+    found = [result("none", "nothing_missing") for _ in range(20)]
+    fitted = [{"use": "payload", "parameters": [{"name": "payload.mass", "low90": 0.1, "high90": 0.3}]}]
+    found += [result("payload", "effect", "payload", effect={"mass_kg": 0.2}, ranking=fitted) for _ in range(9)]
+    found += [result("payload", "effect", "backlash", effect={"mass_kg": 0.2}), result("cogging", "outside_library")]
+    told = {f["name"]: f for f in figures(found)}
+    alarms = told["false alarms with nothing hidden"]
+    assert (alarms["value"], alarms["target"], alarms["met"]) == (0.0, 0.05, True)
+    assert told["the same, at most, with 95 % confidence"]["value"] == pytest.approx(1 - 0.05 ** (1 / 20), abs=1e-3)
+    first = told["strong effects ranked first"]
+    assert (first["value"], first["unit"], first["met"]) == (0.9, "of 10", False)
+    assert told["90 % intervals of effects' sizes that hold the truth"]["target"] == [0.85, 0.95]
+    assert told["intervals of payload that hold the truth"]["value"] == 1.0
+    assert told["outside the library: flagged"]["met"] and told["payload (strong): wrong"]["value"] == 1
+
+
+def test_the_confusion_matrix_says_who_was_taken_for_whom() -> None:
+    from hidden_effects.outcomes import as_text, confusion
+
+    leg = result("weak_leg", "effect", "weak_leg:lm", effect=LEG)
+    table = confusion([leg, leg, result("weak_leg", "effect", "payload"), result("none", "nothing_missing")])
+    assert table == {"weak_leg (strong)": {"weak_leg": 2, "payload": 1}, "none": {"nothing missing": 1}}
+    assert as_text(table).splitlines()[0] == "weak_leg (strong)  weak_leg 2, payload 1"
+
+
+def test_every_named_truth_has_the_library_s_parameter() -> None:
+    from hidden_effects.truth import SIZES
+
+    from tcbi_bringup.emulated_robot.hidden_effects import choose
+    from tcbi_bringup.emulated_robot.hidden_names import LIBRARY
+    from tcbi_sim.effects import built_in
+
+    assert set(SIZES) == set(LIBRARY)
+    for name, pairs in SIZES.items():
+        truth = choose(name, "strong", 1)[2].truth
+        known = {p.name: p for p in built_in()[name].parameters}
+        for parameter, key in pairs:
+            assert known[parameter].low <= float(truth[key]) <= known[parameter].high, (name, parameter)  # type: ignore[arg-type]
+
+
+def test_the_robots_are_those_asked_for() -> None:
+    from hidden_effects.main import PAIRED, jobs_of, parser
+
+    def jobs(*words: str) -> list[Any]:
+        return jobs_of(parser().parse_args(words))
+
+    assert len(jobs("--quick")) == 7 and {job[0] for job in jobs("--quick")} == {"quick"}
+    every = jobs("--plan", "bench", "--hidden", "all", "--strength", "strong,weak", "--seeds", "1:3")
+    assert len(every) == 2 * (25 * 2 + 1) and every[0] == ("bench", "none", "strong", 1)
+    assert len(jobs("--hidden", "none", "--pairs", "--seeds", "1:2")) == 1 + len(PAIRED) * (len(PAIRED) - 1) // 2
+    assert ("quick", "backlash+payload", "weak", 5) in jobs(
+        "--hidden=backlash+payload", "--strength=weak", "--seeds=5:6"
+    )
+    with pytest.raises(argparse.ArgumentTypeError, match="gremlins"):
+        jobs("--hidden", "gremlins")
