@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from tcbi_contract.wording import with_unit
 from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose import detectable
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis, Evidence
@@ -138,7 +139,7 @@ def _size(name: str, unit: str, value: float, low: float, high: float, null: flo
     ends = [low, high, value, *([null] if null is not None else [])]
     pad = 0.15 * (max(ends) - min(ends) or abs(value) or 1.0)
     svg = plots.interval(name, unit, value, low, high, null, (min(ends) - pad, max(ends) + pad))
-    size = f"{value:.3g} {unit.removeprefix('1')}".rstrip()
+    size = with_unit(f"{value:.3g}", unit)
     return Figure(svg, f"{size}, 90 % between {low:.3g} and {high:.3g}.")
 
 
