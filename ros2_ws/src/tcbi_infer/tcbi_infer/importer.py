@@ -21,6 +21,7 @@ import numpy as np
 from tcbi_infer.bags.streams import ordered
 from tcbi_infer.errors import MappingError
 from tcbi_infer.mapping import Mapping, Signal
+from tcbi_infer.pieces import pieces
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 
 Table = dict[str, list[Any]]
@@ -65,6 +66,12 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
         joint_position=rows,
         notes=tuple(notes),
     )
+
+
+def read_rollouts(mapping: Mapping, log: Path) -> list[Measurement]:
+    """One log as one rollout, or as the pieces that the mapping cuts it into; raises as `read_log`."""
+    whole = read_log(mapping, log)
+    return pieces(whole, mapping.window) if mapping.window else [whole]
 
 
 def rollout_name(log: Path) -> str:

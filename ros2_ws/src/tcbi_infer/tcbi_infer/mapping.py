@@ -11,7 +11,8 @@ from tcbi_infer.errors import MappingError
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {"rad": 1.0, "deg": math.pi / 180, "turn": 2 * math.pi, "N m": 1.0}
-TOP = {"rig", "joints", "task", "source", "policy", "entries", "time", "position", "command", "torque_on", "constants"}
+TOP = {"rig", "joints", "task", "source", "policy", "entries", "window", "constants"}
+TOP |= {"time", "position", "command", "torque_on"}
 SIGNAL = {"column", "columns", "file", "time", "unit", "scale", "offset", "list", "pick"}
 
 
@@ -45,6 +46,7 @@ class Mapping:
     task: str = "log"
     source: str = "log"
     policy_id: str = ""
+    window: float = 0.0  # s, of the pieces that a log is cut into; 0: it stays whole
     constants: tuple[tuple[str, float | str], ...] = field(default=())
 
     def is_log(self, path: Path) -> bool:
@@ -107,7 +109,8 @@ class _Checker:
         if "position" not in c:
             self.faults.append("the section [position] is missing")
         command = self._signal("command", len(joints), {"kind", "ramp"})
-        kind = self._section("command", SIGNAL | {"kind", "ramp"}, report=False).get("kind", "position")
+        commanded = self._section("command", SIGNAL | {"kind", "ramp"}, report=False)
+        kind = commanded.get("kind", "position")
         if kind not in ("position", "torque"):
             self.faults.append(f"command.kind: got {kind!r}, allowed is position or torque")
         mapping = Mapping(
@@ -117,13 +120,14 @@ class _Checker:
             command=command,
             torque_on=self._signal("torque_on", 1),
             torque_commands=kind == "torque",
-            ramp=self._ramp(),
+            ramp=self._not_negative("ramp", commanded, "command.ramp"),
             time_column=str(time.get("column", "time")),
             time_scale=TIME_UNITS.get(unit, 1.0),
             entries=self._text("entries", "entries"),
             task=self._text("task", "log"),
             source=self._text("source", "log"),
             policy_id=self._text("policy", ""),
+            window=self._not_negative("window", self.content),
             constants=self._constants(),
         )
         if self.faults:
@@ -180,11 +184,11 @@ class _Checker:
         self.faults.append(f"{what}: got {value!r}, allowed is a number, or {joints} of them")
         return 1.0
 
-    def _ramp(self) -> float:
-        ramp = self._section("command", SIGNAL | {"kind", "ramp"}, report=False).get("ramp", 0.0)
-        if isinstance(ramp, (int, float)) and ramp >= 0:
-            return float(ramp)
-        self.faults.append(f"command.ramp: got {ramp!r}, allowed is 0 s or more")
+    def _not_negative(self, key: str, section: dict[str, Any], name: str = "") -> float:
+        value = section.get(key, 0.0)
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value < math.inf:
+            return float(value)
+        self.faults.append(f"{name or key}: got {value!r}, allowed is 0 s or more")
         return 0.0
 
     def _constants(self) -> tuple[tuple[str, float | str], ...]:

@@ -32,6 +32,7 @@ class Scenario:
     slope_pitch: float = 0.0  # rad
     blocks: tuple[Block, ...] = ()
     initial_joint_position: tuple[float, ...] | None = None  # rad; None for the neutral stance
+    initial_joint_velocity: tuple[float, ...] | None = None  # rad/s, of a piece out of a longer motion; None for rest
     initial_yaw: float = 0.0  # rad
     settle: float = 1.0  # s that the simulator holds the initial posture before time 0
     seed: int = 0

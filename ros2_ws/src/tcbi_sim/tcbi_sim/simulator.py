@@ -9,7 +9,8 @@ values, and never stops the others.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -45,6 +46,7 @@ class Simulator:
         timestep: float = 0.002,
         threads: int = 0,
         rate: float | None = None,
+        solver: Mapping[str, Any] | None = None,
     ):
         """Stand every simulation at its scenario's start.
 
@@ -55,6 +57,7 @@ class Simulator:
           timestep: s; must divide the sample interval.
           threads: 0 for all processors.
           rate: samples a second; the rig's own by default.
+          solver: MuJoCo's options in place of the rig's, by name: `integrator`, `cone`, `impratio`.
         """
         self.rig, self.uses, self._names = load_rig(model.rig), model.uses(), model.names
         self.rate, self.timestep = rate or self.rig.rate, timestep
@@ -67,6 +70,8 @@ class Simulator:
         self._blocks = max((len(s.blocks) for s in scenarios), default=0)
         self._mj = compile_structure(self.rig, self.uses, self._blocks)
         self._mj.opt.timestep = timestep
+        for name, value in (solver or {}).items():
+            setattr(self._mj.opt, name, value)
         self.count, joints = len(self.scenarios), len(self.rig.joint_names)
         self._batch = Batch(self._mj, self.count, threads)
         self.fields = Fields(
@@ -254,15 +259,18 @@ class Simulator:
     def _place(self, ids: np.ndarray) -> None:
         """Initial state: posture, and for a floating rig the trunk just above the ground, aligned with it."""
         self._batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        qpos = self._batch.bind("qpos")
+        qpos, qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         for i in ids:
-            posture = self.scenarios[i].initial_joint_position
+            posture, velocity = self.scenarios[i].initial_joint_position, self.scenarios[i].initial_joint_velocity
             self._hold[i] = 0.0 if posture is None else np.asarray(posture)
+            if velocity is not None:
+                qvel[i, self._dofs] = velocity
         # where a servo is mounted off its zero, the link stands off by as much
         qpos[np.ix_(ids, self._qpos)] = self._hold[ids] + self.fields.command.offset[ids]
         rngs = [np.random.default_rng([self.scenarios[i].seed, 7919]) for i in ids]
-        self.path.hold(ids, self._hold[ids], rngs)
-        self._batch.bind("ctrl")[np.ix_(ids, self._actuators)] = self._hold[ids] + self.fields.command.offset[ids]
+        held = self._hold[ids] if self.rig.kind == "position" else np.zeros_like(self._hold[ids])
+        self.path.hold(ids, held, rngs)
+        self._batch.bind("ctrl")[np.ix_(ids, self._actuators)] = held + self.fields.command.offset[ids]
         if self.rig.floating:
             self._stand(ids, qpos)
 

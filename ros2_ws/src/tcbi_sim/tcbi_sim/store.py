@@ -24,7 +24,7 @@ from tcbi_sim.mjcf import to_xml
 from tcbi_sim.model import Model, base_model, now
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.places import default_root
-from tcbi_sim.rigs import RIGS
+from tcbi_sim.rigs import rig_names
 
 log = logging.getLogger(__name__)
 FORMAT = 1
@@ -51,7 +51,7 @@ class ModelStore:
 
     def versions(self, rig: str | None = None) -> list[str]:
         """Known versions of a rig (or of all): version 0, which is built in, then the saved ones by number."""
-        built_in = [f"{name}-v0" for name in RIGS if rig in (None, name)]
+        built_in = [f"{name}-v0" for name in rig_names() if rig in (None, name)]
         saved = [p.name for p in self.models.glob("*-v*") if (p / "model.json").is_file()]
         if rig:
             saved = [v for v in saved if v.rpartition("-v")[0] == rig]

@@ -9,6 +9,7 @@ import pytest
 from tcbi_sim.errors import SimError
 from tcbi_sim.mjcf import materialise, to_xml
 from tcbi_sim.model import base_model
+from tcbi_sim.rigs import RIGS
 from tcbi_sim.store import ModelStore, StoreError
 
 
@@ -18,7 +19,7 @@ def store(tmp_path) -> ModelStore:
 
 
 def test_an_empty_store_has_version_0_of_every_rig(store):
-    assert store.versions() == ["hexapod-v0", "servo_bench-v0", "motor_bench-v0"]
+    assert store.versions() == [f"{name}-v0" for name in RIGS]
     assert store.load().version == "hexapod-v0"
 
 
@@ -139,5 +140,5 @@ def test_a_truncated_file_is_one_clear_line(store):
 
 
 def test_a_rig_without_a_model_is_named_with_those_that_have_one(tmp_path):
-    with pytest.raises(StoreError, match=r"rig 'so101_arm' has no model.*hexapod"):
-        ModelStore(tmp_path).load(rig="so101_arm")
+    with pytest.raises(StoreError, match=r"rig 'quadruped' has no model.*hexapod"):
+        ModelStore(tmp_path).load(rig="quadruped")

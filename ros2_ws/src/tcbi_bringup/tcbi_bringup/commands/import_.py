@@ -1,6 +1,7 @@
 """`./tcbi import`: turns logs of other formats into bags."""
 
 import argparse
+import dataclasses
 from pathlib import Path
 
 from tcbi_bringup.commands import console
@@ -17,23 +18,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs", nargs="+", type=Path, metavar="LOG", help="a log (.json, .csv, .gz), or a folder of logs"
     )
     parser.add_argument("--out", type=Path, default=Path("imported"), metavar="FOLDER", help="default: ./imported")
+    parser.add_argument(
+        "--window", type=_seconds, metavar="S", help="cut each log into rollouts of so many seconds (0: not at all)"
+    )
     console.add_json(parser)
     console.add_examples(
         parser,
         "./tcbi import xl330_bench logs/kp100_sin_sin.json --out bags",
         "./tcbi import so101_arm recordings/ --out bags      # a folder holds one folder a recording",
+        "./tcbi import so101_arm recordings/ --window 20      # rollouts of 20 s, each recording one kind of motion",
         "./tcbi import my_bench.toml run_*.csv.gz             # docs/bags.md describes the mapping file",
     )
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"got {text}, allowed is 0 s or more")
+    return value
 
 
 def run(args: argparse.Namespace) -> int:
     """Read every log first, then write: a fault in one leaves nothing behind."""
     from tcbi_infer.bags.measurement_writer import write_measurement
-    from tcbi_infer.importer import logs_in, read_log
+    from tcbi_infer.importer import logs_in, read_rollouts
     from tcbi_infer.mapping import load_mapping
 
     mapping = load_mapping(args.mapping)
-    measurements = [read_log(mapping, log) for log in logs_in(args.logs, mapping)]
+    if args.window is not None:
+        mapping = dataclasses.replace(mapping, window=args.window)
+    measurements = [m for log in logs_in(args.logs, mapping) for m in read_rollouts(mapping, log)]
     rows = []
     for m in measurements:
         bag = write_measurement(args.out, m, torque_commands=mapping.torque_commands)

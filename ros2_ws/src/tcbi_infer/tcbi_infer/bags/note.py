@@ -22,6 +22,7 @@ class Note:
     rig: str | None = None
     duration: float | None = None  # s
     initial_joint_position: tuple[float, ...] | None = None  # rad
+    initial_joint_velocity: tuple[float, ...] | None = None  # rad/s
     initial_yaw: float = 0.0  # rad
     settle: float = 1.0  # s
     seed: int = 0
@@ -31,7 +32,6 @@ class Note:
 
 def write_note(rig: str, scenario: Scenario, text: str = "") -> str:
     """The note of a BEGIN event."""
-    posture = scenario.initial_joint_position
     content: dict[str, Any] = {
         KEY: VERSION,
         "rig": rig,
@@ -39,7 +39,8 @@ def write_note(rig: str, scenario: Scenario, text: str = "") -> str:
         "seed": scenario.seed,
         "settle": scenario.settle,
         "initial_yaw": scenario.initial_yaw,
-        "initial_joint_position": None if posture is None else list(posture),
+        "initial_joint_position": scenario.initial_joint_position,
+        "initial_joint_velocity": scenario.initial_joint_velocity,
         "constants": [list(pair) for pair in scenario.constants],
         "text": text,
     }
@@ -61,17 +62,21 @@ def read_note(note: str) -> Note:
 
 
 def _from(content: dict[str, Any]) -> Note:
-    posture = content.get("initial_joint_position")
     duration = content.get("duration")
     constants = content.get("constants") or []
     pairs = constants.items() if isinstance(constants, dict) else constants
     return Note(
         rig=str(content["rig"]) if content.get("rig") else None,
         duration=None if duration is None or not math.isfinite(duration) else float(duration),
-        initial_joint_position=None if posture is None else tuple(float(x) for x in posture),
+        initial_joint_position=_numbers(content.get("initial_joint_position")),
+        initial_joint_velocity=_numbers(content.get("initial_joint_velocity")),
         initial_yaw=float(content.get("initial_yaw", 0.0)),
         settle=float(content.get("settle", 1.0)),
         seed=int(content.get("seed", 0)),
         constants=tuple((str(name), float(value)) for name, value in pairs),
         text=str(content.get("text", "")),
     )
+
+
+def _numbers(values: list[Any] | None) -> tuple[float, ...] | None:
+    return None if values is None else tuple(float(x) for x in values)

@@ -43,6 +43,7 @@ class Span:
             slope_pitch=self.slope_pitch,
             blocks=self.blocks,
             initial_joint_position=self.note.initial_joint_position,
+            initial_joint_velocity=self.note.initial_joint_velocity,
             initial_yaw=self.note.initial_yaw,
             settle=self.note.settle,
             seed=self.note.seed,

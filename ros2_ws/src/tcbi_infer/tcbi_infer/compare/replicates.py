@@ -46,7 +46,8 @@ class Split:
 
 def same_scenario(a: Scenario, b: Scenario) -> bool:
     """Whether two rollouts took place in the same surroundings, from the same start."""
-    plain = [dataclasses.replace(s, seed=0, duration=0.0, initial_joint_position=None) for s in (a, b)]
+    start = {"initial_joint_position": None, "initial_joint_velocity": None}
+    plain = [dataclasses.replace(s, seed=0, duration=0.0, **start) for s in (a, b)]
     starts = [np.zeros(1) if s.initial_joint_position is None else np.array(s.initial_joint_position) for s in (a, b)]
     return plain[0] == plain[1] and bool(np.all(np.abs(starts[0] - starts[1]) < SAME_TARGET))
 
@@ -84,19 +85,28 @@ def _label(measurement: Measurement) -> tuple:
 
 
 def _kinds_by_shape(measurements: Sequence[Measurement], groups: Sequence[Sequence[int]]) -> list[int]:
-    """Kinds where policies do not tell them apart: the same commanded motion is one kind, whatever else differs."""
+    """Kinds where policies do not tell them apart: the same commanded motion is one kind, whatever else differs.
+
+    So are pieces of one recording, which begin while it moves and bear its name for a policy.
+    """
     firsts: list[Measurement] = []
     kinds = []
     for group in groups:
         m = measurements[group[0]]
         for k, first in enumerate(firsts):
-            if same_motion(first.commands, m.commands):
+            pieces = _is_piece(first) and _is_piece(m)
+            same = first.policy_id == m.policy_id if pieces else same_motion(first.commands, m.commands)
+            if same:
                 kinds.append(k)
                 break
         else:
             kinds.append(len(firsts))
             firsts.append(m)
     return kinds
+
+
+def _is_piece(m: Measurement) -> bool:
+    return m.scenario.initial_joint_velocity is not None and bool(m.policy_id)
 
 
 def same_motion(a: Commands, b: Commands, rate: float = 50.0) -> bool:

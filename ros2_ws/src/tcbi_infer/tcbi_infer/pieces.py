@@ -1,0 +1,62 @@
+"""A long recording cut into rollouts that each begin while it moves, at the position and speed measured there.
+
+Motion that a small error throws far off (a swinging pendulum driven by torque) can be predicted for a second, not for
+ten; and a part of a long log is often enough for a fit. The pieces of one recording are one kind of motion.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from tcbi_sim.measurement import Commands, Measurement
+
+LEAST = 0.5  # of a window: a shorter rest is left out
+SPEED_OVER = 0.03  # s, either side of a piece's begin: what its speed is measured over
+FEWEST = 5  # samples that a speed is measured from
+
+
+def pieces(m: Measurement, window: float) -> list[Measurement]:
+    """Rollouts of `window` s, in order, named after the recording with a number."""
+    count = max(1, int((m.scenario.duration + (1 - LEAST) * window) / window))
+    return [_piece(m, k * window, min((k + 1) * window, m.scenario.duration), k + 1) for k in range(count)]
+
+
+def _piece(m: Measurement, begin: float, end: float, number: int) -> Measurement:
+    inside = (m.time >= begin) & (m.time <= end)
+    zero = float(m.time[inside][0])
+    position, velocity = _state(m, zero)
+    scenario = dataclasses.replace(
+        m.scenario,
+        duration=float(m.time[inside][-1]) - zero,
+        initial_joint_position=tuple(map(float, position)),
+        initial_joint_velocity=tuple(map(float, velocity)),
+    )
+    return dataclasses.replace(
+        m,
+        rollout_id=f"{m.rollout_id}-{number:02d}",
+        policy_id=m.policy_id or m.rollout_id,
+        scenario=scenario,
+        commands=_commands(m.commands, zero, scenario.duration),
+        time=np.round(m.time[inside] - zero, 9),
+        joint_position=m.joint_position[inside],
+    )
+
+
+def _state(m: Measurement, at: float) -> tuple[np.ndarray, np.ndarray]:
+    """Position and speed (J,) at a time: a parabola through the samples around it."""
+    near = np.abs(m.time - at) <= SPEED_OVER
+    if near.sum() < FEWEST:
+        near = np.isin(np.arange(len(m.time)), np.argsort(np.abs(m.time - at))[:FEWEST])
+    order = min(2, int(near.sum()) - 1)
+    fitted = np.polynomial.polynomial.polyfit(m.time[near] - at, m.joint_position[near], order)
+    return fitted[0], fitted[1]
+
+
+def _commands(whole: Commands, zero: float, duration: float) -> Commands:
+    """The commands of a piece on its own clock; the one in force when it begins counts from there."""
+    before = np.flatnonzero(whole.time <= zero)
+    first = int(before[-1]) if before.size else 0
+    chosen = slice(first, int(np.searchsorted(whole.time, zero + duration)))
+    time = np.round(np.maximum(whole.time[chosen] - zero, 0.0), 9)
+    on = None if whole.torque_on is None else whole.torque_on[chosen]
+    return Commands(time, whole.target[chosen], whole.ramp, on)
