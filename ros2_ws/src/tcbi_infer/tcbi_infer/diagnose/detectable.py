@@ -14,9 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
+from tcbi_contract.wording import with_unit
 from tcbi_infer.compare.signals import ATTITUDE, JOINT
 from tcbi_infer.diagnose.evidence import DetectableSize
-from tcbi_infer.diagnose.heldout import shared_error, widening
+from tcbi_infer.diagnose.heldout import imitated, shared_error
 from tcbi_infer.diagnose.null import Null
 from tcbi_infer.diagnose.problem import TAIL, Problem
 from tcbi_infer.diagnose.screen import Screen, Targets, paired_statistic
@@ -164,7 +165,7 @@ class _Use:
                 continue
             (p,) = moved
             place = ", ".join(
-                f"{q.name.rpartition('.')[2]} {float(q.from_unit(v)):.3g} {q.unit.removeprefix('1')}".rstrip()
+                with_unit(f"{q.name.rpartition('.')[2]} {float(q.from_unit(v)):.3g}", q.unit)
                 for q, v, s in zip(self.own, unit, sized, strict=True)
                 if not s
             )
@@ -180,6 +181,9 @@ class _Use:
     def _size(self, ray: _Ray) -> DetectableSize:
         p = self.own[ray.parameter]
         assert p.null is not None
+        size = DetectableSize(self.key, p.name, p.unit, p.null, place=ray.place)
+        if self._absorbed(ray):
+            return dataclasses.replace(size, reason=self._likeness(ray.ks[0]))
         lengths = np.abs(ray.lengths)
         picked = np.argmin(np.abs(np.log(lengths / SIZES[:, None])), axis=1)
         known = np.ones(len(SIZES), bool)
@@ -192,7 +196,6 @@ class _Use:
         margins = np.stack([power / POWER, self._usefulness(ks, multiples), self._distance(ks, multiples)]) * known
         least = [_crossing(margin) for margin in margins]
         limit = int(np.argmax(least))
-        size = DetectableSize(self.key, p.name, p.unit, p.null, place=ray.place)
         if np.isfinite(least[limit]):
             null = float(p.to_unit(p.null))
             share = least[limit] * ((1 - null) if ray.way > 0 else null)
@@ -213,13 +216,27 @@ class _Use:
         growth = np.sqrt(energy[large, large] / energy[small, small]) / abs(ray.lengths[-1] / ray.lengths[0])
         return bool(abs(cosine) > STRAIGHT and 0.5 < growth < 2.0)
 
+    def _absorbed(self, ray: _Ray) -> bool:
+        """Whether what a refit leaves of an effect is curvature alone, which its next step would take too."""
+        if len(ray.ks) < 2 or self._cosine(ray.ks[0]) < PARALLEL:
+            return False
+        growth = np.sqrt(self.profiled[ray.ks[-1]] / self.profiled[ray.ks[0]])
+        return bool(growth > (ray.lengths[-1] / ray.lengths[0]) ** 1.5)
+
+    def _cosine(self, k: int) -> float:
+        """Between a direction and the best that base parameters and scatter can do."""
+        return float(np.sqrt(np.clip(1.0 - self.profiled[k] / max(self.energy[k], 1e-12), 0.0, 1.0)))
+
     def _why_not(self, k: int, limit: int, gain: float) -> str:
-        cosine = np.sqrt(max(1.0 - self.profiled[k] / self.energy[k], 0.0))
-        if cosine > PARALLEL:
-            return f"looks like the model's own parameters and the scatter between joints (cosine {cosine:.3f})"
+        if self._cosine(k) > PARALLEL:
+            return self._likeness(k)
         if limit == 0 and gain > MUCH:
             return "shows in too few kinds of motion to be held out"
         return f"too small in these rollouts at any size in its range: {LIMITS[limit]} would not tell"
+
+    def _likeness(self, k: int) -> str:
+        cosine = self._cosine(k)
+        return f"looks like the model's own parameters and the scatter between joints (cosine {cosine:.3f})"
 
     def _power(self, ks: np.ndarray, multiples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(G,) share of data sets in which the statistic passes, and the mean gain in nats, at each of G sizes."""
@@ -245,7 +262,8 @@ class _Use:
         """(G,) how far the interval stays from the null value, 1 where it just leaves it out."""
         known = self.profiled[ks] * np.median(self.scale) ** 2 / self.background.shared
         quantile = float(stdtrit(max(self.background.null.kinds - 1, 2), 0.95))
-        needed = (quantile * widening(self.background.error) + ndtri(POWER)) / np.sqrt(known)
+        hidden = imitated(self.screen.independent, self.background.error) / self.background.shared
+        needed = (np.sqrt(quantile**2 + hidden) + ndtri(POWER)) / np.sqrt(known)
         return np.abs(multiples) / needed
 
 
@@ -303,6 +321,6 @@ def rows(sizes: Sequence[DetectableSize]) -> list[list[str]]:
 
 
 def _text(size: DetectableSize) -> str:
-    value = f"{size.value:.3g} {size.unit.removeprefix('1')}".rstrip()
+    value = with_unit(f"{size.value:.3g}", size.unit)
     nothing = "" if size.null == 0 else f" (none: {size.null:g})"
     return value + nothing + (f" at {size.place}" if size.place else "")

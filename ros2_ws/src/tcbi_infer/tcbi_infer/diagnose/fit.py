@@ -23,7 +23,9 @@ FEW_SETS = 2  # that choose them
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
-POLISH = (0.02, 0.02)  # two iterations; with known slopes their sizes say only that they may end the fit
+POLISH = (0.02, 0.02, 0.02, 0.02)  # with known slopes their sizes say only that they may end the fit
+POLISH_STRETCH = (2.0, 1.0, 0.5, 0.25)
+REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
 FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
 
 
@@ -55,7 +57,7 @@ class Fit:
       residual: (S, T, C) of all sets that were simulated (zero elsewhere), nuisances taken out.
       loss: (S,) of each set.
       scale: (G,).
-      normal: (S, P + Q, P + Q) and `slope` (S, P + Q): the quadratic around the optimum, set by set.
+      normal: (S, P + Q, P + Q), `slope` (S, P + Q) and `square` (S,): the quadratic around the optimum, set by set.
       jacobian: (S, T, C, P) slopes of the prediction; `bend` (S, T, C) its departure from them within a step.
       converged: the last step was small, or gained nothing.
     """
@@ -69,6 +71,7 @@ class Fit:
     scale: np.ndarray
     normal: np.ndarray
     slope: np.ndarray
+    square: np.ndarray
     jacobian: np.ndarray
     bend: np.ndarray
     converged: bool
@@ -138,6 +141,25 @@ class Fitter:
         best = int(np.argmin(self.start_losses(predicted, nuisance)))
         return np.asarray(starts[best], float), predicted[best]
 
+    def profiled(self, predicted: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        """(Q,) nuisances that suit one prediction best, so that no trial is judged with those of another.
+
+        Args:
+          predicted: (open sets, T, C) without nuisances.
+          delta: (Q,) to start from.
+          scale: (G,).
+        """
+        effect = self.nuisance.effect[self.sets]
+        if not len(delta) or not np.isfinite(predicted).all():
+            return delta
+        target = self.problem.residual(predicted, self.sets)
+        full = np.zeros_like(self.problem.observed)
+        for _ in range(REWEIGHTED):
+            full[self.sets] = target - effect @ delta
+            normal, slope = gram(effect, target, self.problem.precision(full, scale)[self.sets])
+            delta = np.linalg.solve(normal.sum(axis=0) + np.eye(len(delta)), slope.sum(axis=0))
+        return delta
+
     def start_losses(self, predicted: np.ndarray, nuisance: np.ndarray) -> list[float]:
         """Loss of each prediction (N, open sets, T, C) at its own scales."""
         totals: list[float] = []
@@ -178,6 +200,7 @@ class Fitter:
             move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
             trials, trial_deltas = self._trials(unit, delta, move, move_delta, stretch, step >= TOGETHER_STEP)
             trial_predicted = self.predict(trials)
+            trial_deltas = [self.profiled(p, d, scale) for p, d in zip(trial_predicted, trial_deltas, strict=True)]
             best, best_total = -1, before
             for i, trial_delta in enumerate(trial_deltas):
                 total = self._total(self.residual(trial_predicted[i], trial_delta), trial_delta, scale)
@@ -230,7 +253,7 @@ class Fitter:
 
     def polish(self, fit: Fit) -> Fit:
         """A fit at another time step carried on at this one, with its slopes, which hardly depend on the step."""
-        fine = self.run(fit.unit[None], fit.nuisance, POLISH, (1.0, 0.5), known=(fit.jacobian, fit.bend))
+        fine = self.run(fit.unit[None], fit.nuisance, POLISH, POLISH_STRETCH, known=(fit.jacobian, fit.bend))
         return dataclasses.replace(fine, converged=fit.converged)
 
     def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
@@ -290,8 +313,11 @@ class Fitter:
         converged: bool,
     ) -> Fit:
         normal, slope = self._quadratic(residual, scale, jacobian, bend)
+        square = (self.precision(residual, scale, bend) * residual**2).sum(axis=(1, 2))
         loss = self.problem.loss(residual, scale, self.sets)
-        return Fit(self.model, unit, delta, predicted, residual, loss, scale, normal, slope, jacobian, bend, converged)
+        return Fit(
+            self.model, unit, delta, predicted, residual, loss, scale, normal, slope, square, jacobian, bend, converged
+        )
 
 
 def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:

@@ -7,14 +7,13 @@ folds; its prediction of the fold is simulated, not linearised.
 import dataclasses
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from tcbi_infer.diagnose.fit import Fit, Nuisance, bounded_step, to_physical
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.engine import simulate
 
-DISCREPANT = 1.5  # times the noise floor: a model that leaves this much lacks something, if only a little
-WIDEST = 6.0  # so much further off were parameters of emulated robots then, at the 90 % point (docs/diagnosis.md)
+IMITATED = 1.2  # of what remains unexplained: how much more the parameters may have taken in (docs/diagnosis.md)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,14 +100,33 @@ def shared_error(residual: np.ndarray) -> float:
     return float((values**2).sum() / values.sum())
 
 
-def widening(misfit: float) -> float:
-    """By how much a model that leaves more than noise is less sure of its parameters than its own motions say.
+def imitated(square: float, misfit: float) -> float:
+    """The squared length of a discrepancy that may hide behind the parameters, for one that is left of `square`.
 
     Args:
+      square: weighted sum of a fit's squared residuals, noise included.
       misfit: error over the noise floor on unseen motions.
     """
-    seen = np.clip((misfit - 1.0) / (DISCREPANT - 1.0), 0.0, 1.0)
-    return float(max(misfit, 1.0 + (WIDEST - 1.0) * seen))
+    return IMITATED**2 * square * (1.0 - 1.0 / max(misfit, 1.0) ** 2)
+
+
+def discrepancy_shift(fit: Fit, misfit: float) -> tuple[np.ndarray, np.ndarray]:
+    """How far a discrepancy as large as what the model leaves unexplained could have shifted the parameters.
+
+    What remains visible is what the parameters could not imitate. A part of the same size that they could imitate
+    would be invisible, and shift each by at most its length times the inverse curvature's root (Cauchy and Schwarz).
+
+    Args:
+      fit: the fit.
+      misfit: error over the noise floor on unseen motions.
+
+    Returns:
+      (P,) shift; (P, P) inverse curvature in unit space, of which it is a multiple of the diagonal's roots.
+    """
+    count = len(fit.unit)
+    prior = np.r_[np.full(count, 1e-3), np.ones(len(fit.nuisance))]
+    inverse = np.linalg.inv(fit.normal.sum(axis=0) + np.diag(prior))[:count, :count]
+    return np.sqrt(imitated(float(fit.square.sum()), misfit) * np.diag(inverse)), inverse
 
 
 def intervals(
@@ -116,10 +134,10 @@ def intervals(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Interval of each parameter in unit space.
 
-    The spread is the larger of two: the curvature of the loss, in which samples count by their autocorrelation and
-    channels by their correlation, and the jackknife over kinds of motion, which also sees what the model gets wrong
-    differently from motion to motion. It is widened by `widening`: a discrepancy that all motions share shifts
-    parameters in a way that no spread between motions shows. To it comes what the simulation's own time step leaves.
+    Three things add up in quadrature. The spread: the larger of the curvature of the loss, in which samples count by
+    their autocorrelation and channels by their correlation, and of the jackknife over kinds of motion. What a
+    discrepancy that all motions share may have shifted (`discrepancy_shift`), which no spread between motions shows.
+    And what the simulation's own time step leaves.
 
     Args:
       fit: the fit.
@@ -129,20 +147,15 @@ def intervals(
       level: of the interval.
 
     Returns:
-      low, high: (P,); covariance: (P, P).
+      low, high: (P,); covariance: (P, P) of a normal distribution with these intervals.
     """
-    count, folds = len(fit.unit), len(held.unit)
-    prior = np.r_[np.full(count, 3.0), np.ones(len(fit.nuisance))]
-    normal = fit.normal.sum(axis=0) / shared_error(fit.residual)
-    curvature = np.linalg.inv(normal + np.diag(prior))[:count, :count]
+    folds = len(held.unit)
+    shift, inverse = discrepancy_shift(fit, misfit)
+    variance = shared_error(fit.residual) * np.diag(inverse)
     if folds > 1:
         apart = held.unit - held.unit.mean(axis=0)
-        jackknife = (folds - 1) / folds * apart.T @ apart
-    else:
-        jackknife = np.zeros_like(curvature)
-    grow = np.sqrt(np.maximum(1.0, np.diag(jackknife) / np.diag(curvature)))
-    grow *= widening(misfit)
-    covariance = curvature * np.outer(grow, grow) + np.diag(drift**2 / 3.0)
+        variance = np.maximum(variance, (folds - 1) / folds * (apart**2).sum(axis=0))
     quantile = stdtrit(max(folds - 1, 2), 0.5 + level / 2)
-    half = quantile * np.sqrt(np.diag(covariance))
-    return np.clip(fit.unit - half, 0, 1), np.clip(fit.unit + half, 0, 1), covariance
+    half = np.sqrt(quantile**2 * (variance + drift**2 / 3.0) + shift**2)
+    grow = half / (ndtri(0.5 + level / 2) * np.sqrt(np.diag(inverse)))
+    return np.clip(fit.unit - half, 0, 1), np.clip(fit.unit + half, 0, 1), inverse * np.outer(grow, grow)
