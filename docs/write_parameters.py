@@ -8,6 +8,7 @@ from pathlib import Path
 from hexapod_driver.driver_node import DriverParameters
 from tcbi_bringup.emulated_robot.experimenter_node import Parameters as ExperimenterParameters
 from tcbi_contract.parameters import parameter_table
+from tcbi_dashboard.dashboard_node import DashboardParameters
 from tcbi_infer.inference_node import InferenceParameters
 from tcbi_infer.recorder_node import RecorderParameters
 from tcbi_infer.replay_node import ReplayParameters
@@ -25,6 +26,7 @@ NODES = {
     "tcbi_infer recorder_node": (RecorderParameters, "bags, and the action `collect_rollouts`"),
     "tcbi_infer replay_node": (ReplayParameters, "bags back into the graph"),
     "tcbi_infer inference_node": (InferenceParameters, "posterior, model error, diagnosis"),
+    "tcbi_dashboard dashboard_node": (DashboardParameters, "the web page"),
     "tcbi_bringup experimenter_node": (ExperimenterParameters, "the hands and the tracker beside an emulated robot"),
 }
 HEAD = """# Parameters of the nodes

@@ -17,7 +17,10 @@ ALLOWED = {
     "tcbi_sim": {"tcbi_msgs", "tcbi_contract"},
     "tcbi_policy": {"tcbi_msgs", "tcbi_contract", "tcbi_sim"},
     "tcbi_infer": {"tcbi_msgs", "tcbi_contract", "tcbi_sim", "tcbi_policy"},
-    "tcbi_bringup": {"tcbi_msgs", "tcbi_contract", "tcbi_sim", "tcbi_policy", "tcbi_infer", "hexapod_driver"},
+    "tcbi_dashboard": {"tcbi_msgs", "tcbi_contract", "tcbi_sim", "tcbi_policy", "tcbi_infer"},
+    "tcbi_bringup": {
+        *("tcbi_msgs", "tcbi_contract", "tcbi_sim", "tcbi_policy", "tcbi_infer", "tcbi_dashboard", "hexapod_driver"),
+    },
 }
 OWN = {*ALLOWED, "tcbi_msgs"}
 ROS = {

@@ -6,21 +6,26 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from typing import Any
-
-from tcbi_infer.inference_worker import Job
+from typing import Any, Protocol
 
 STOP_TIMEOUT_S = 5.0
+INFERENCE = "tcbi_infer.inference_worker"
+
+
+class Job(Protocol):
+    """What a worker is asked for, as one line of JSON."""
+
+    def to_json(self) -> str: ...
 
 
 class Worker:
-    """One run of `tcbi_infer.inference_worker`."""
+    """One run of `tcbi_infer.inference_worker`, or of another module that reads a job and writes events like it."""
 
-    def __init__(self, job: Job):
+    def __init__(self, job: Job, module: str = INFERENCE):
         self.job = job
         self._events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tcbi_infer.inference_worker"],
+            [sys.executable, "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -1,0 +1,1 @@
+"""The web page: the loop of the command line in a browser."""

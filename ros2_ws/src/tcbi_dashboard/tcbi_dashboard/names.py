@@ -1,0 +1,7 @@
+"""Names of the files in `runs/` that the page reads: light, so that the page need not import what writes them."""
+
+COMPARISON = "compare-"  # folders, one for each comparison
+SUMMARY = "summary.json"
+DIAGNOSIS = "diagnosis-"  # files, as `tcbi_infer.diagnose.adopt` writes them
+MOMENTS = "moments-"  # the worst moments of the diagnosis of the same name
+MEASURED = "history-"  # file of a rig: the errors of its versions as they were last measured

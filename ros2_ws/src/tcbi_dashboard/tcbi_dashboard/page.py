@@ -1,0 +1,132 @@
+"""The page: a head with the views' names and the job that runs, and the view that is seen."""
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+from nicegui import ui
+
+from tcbi_dashboard.elements import words
+from tcbi_dashboard.jobs import Job
+from tcbi_dashboard.live import Live
+from tcbi_dashboard.session import Session
+from tcbi_dashboard.views.add import AddView
+from tcbi_dashboard.views.base import View
+from tcbi_dashboard.views.compare import CompareView
+from tcbi_dashboard.views.live import LiveView
+from tcbi_dashboard.views.reports import ReportsView
+from tcbi_dashboard.views.where import WhereView
+from tcbi_dashboard.views.why import WhyView
+from tcbi_dashboard.workbench import Workbench
+
+TICK_S = 0.5
+FIRST = "Compare"
+CSS = Path(__file__).parent / "browser" / "page.css"
+
+
+def build(bench: Workbench, live: Live) -> None:
+    """Register the page."""
+
+    @ui.page("/")
+    def root(view: str = "") -> None:
+        Shell(bench, live).build(view)
+
+
+async def look(bench: Workbench) -> None:
+    """Look for new rollouts, in a thread."""
+    await asyncio.to_thread(bench.catalogue.look)
+
+
+class Shell:
+    """One browser's page."""
+
+    def __init__(self, bench: Workbench, live: Live) -> None:
+        self.bench, self.live = bench, live
+        self.session = Session(bench)
+        self.session.go_to = self.show
+        self.views: dict[str, View] = {
+            "Live": LiveView(self.session, live),
+            "Compare": CompareView(self.session),
+            "Where": WhereView(self.session),
+            "Why": WhyView(self.session),
+            "Add": AddView(self.session, live),
+            "Reports": ReportsView(self.session),
+        }
+        self._built: set[str] = set()
+        self._jobs: object = None
+
+    def build(self, first: str) -> None:
+        """Head, panels, and the clock that keeps them up to date."""
+        ui.add_css(CSS)
+        ui.colors(primary="#0072b2")
+        names = list(self.views)
+        start = next((n for n in names if n.lower() == first.lower()), FIRST)
+        dark = ui.dark_mode(None)
+        with ui.element("header").classes("tcbi-head"):
+            ui.html("tcbi", tag="h1", sanitize=False)
+            with ui.tabs(on_change=self._changed).props("dense no-caps align=left inline-label") as tabs:
+                for name in names:
+                    ui.tab(name)
+            ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props(
+                "flat round dense aria-label='light or dark'"
+            )
+            self.jobs = ui.element("div").classes("tcbi-jobs")
+        self.tabs = tabs
+        with (
+            ui.element("main").classes("tcbi-main"),
+            ui.tab_panels(tabs, value=start, animated=False).props("keep-alive"),
+        ):
+            self.panels = {}
+            for name in names:
+                with ui.tab_panel(name) as panel:
+                    self.panels[name] = panel
+        tabs.set_value(start)
+        self._see(start)
+        ui.timer(TICK_S, self.tick)
+
+    def show(self, name: str) -> None:
+        """Go to a view."""
+        self.tabs.set_value(name)
+
+    def _changed(self, event) -> None:
+        self._see(event.value)
+        ui.navigate.history.replace(f"/?view={event.value.lower()}")
+
+    def _see(self, name: str) -> None:
+        if name not in self._built:
+            self._built.add(name)
+            with self.panels[name]:
+                self.views[name].build()
+        self.views[name].tick()
+
+    def tick(self) -> None:
+        """Keep the head and the view that is seen up to date."""
+        self._show_job()
+        self.views[self.tabs.value].tick()
+
+    def _show_job(self) -> None:
+        state = tuple(job.state for job in (self.bench.work.job, self.bench.recording.job) if job)
+        if state == self._jobs:
+            return
+        self._jobs = state
+        self.jobs.clear()
+        with self.jobs:
+            for slot in (self.bench.work, self.bench.recording):
+                if slot.job and (not slot.job.ended or slot.job.failed or slot.job.cancelled):
+                    with ui.element("div").classes("tcbi-job"):
+                        _job(slot.job, slot.cancel)
+
+
+def _job(job: Job, cancel: Callable[[], None]) -> None:
+    """One line: what is being done, how far it is, and how to end it; or how it ended."""
+    if job.failed:
+        words(f"{job.title} failed: {job.failed}", "span", "tcbi-error")
+    elif job.cancelled:
+        words(f"{job.title} was cancelled.", "span")
+    else:
+        left = f"about {job.remaining_s:.0f} s left" if job.remaining_s else f"{job.spent_s:.0f} s"
+        words(f"{job.title}: {job.stage or 'starting'}, {left}", "span")
+        bar = ui.linear_progress(job.share or 0.0, show_value=False)
+        if job.share is None:
+            bar.props("indeterminate")
+        ui.button("Cancel", on_click=cancel).props("flat dense").mark("cancel")

@@ -1,0 +1,122 @@
+"""Which rollouts and which model version a view works on: one line on the page, and a list behind it."""
+
+import math
+import time
+from collections.abc import Callable
+
+from nicegui import ui
+
+from tcbi_dashboard.elements import soft, words
+from tcbi_dashboard.session import Session
+from tcbi_infer.bags.glance import Glance
+
+COLUMNS = {
+    "when": "recorded",
+    "rollout": "rollout",
+    "policy": "motion",
+    "task": "task",
+    "source": "from",
+    "slope": "slope / deg",
+    "seconds": "length / s",
+}
+HOW_TO_RECORD = (
+    "Record some, each motion twice, so that the robot can be compared with itself:",
+    "`./tcbi up --robot sim`",
+    "`./tcbi collect --policy gait:steps --n 2`",
+    "Or start a collection on the Live view. Other folders of bags: ./tcbi dashboard FOLDER…",
+)
+
+
+class Picker:
+    """The line with the choice; `changed` is called when it changes."""
+
+    def __init__(self, session: Session, changed: Callable[[], None], model: bool = True) -> None:
+        self.session, self.changed = session, changed
+        self._seen: object = None
+        with ui.element("div").classes("tcbi-row"):
+            self.said = words("", "span").style("font-weight: 600")
+            ui.button("Choose rollouts", on_click=self.open, icon="checklist").props("outline")
+            self.model: ui.select | None = None
+            if model:
+                self.model = ui.select([], label="model", on_change=self._model).props("outlined dense options-dense")
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show what is chosen now."""
+        session = self.session
+        state = (
+            len(session.rollouts()),
+            session.bench.catalogue.revision,
+            tuple(session.versions()),
+            session.version(),
+        )
+        if state == self._seen:
+            return
+        self._seen = state
+        count, known = len(session.rollouts()), len(session.bench.catalogue.entries)
+        self.said.set_content(f"{count} of {known} rollout{'s' * (known != 1)}")
+        if self.model:
+            self.model.set_options(session.versions(), value=session.version())
+
+    def _model(self, event) -> None:
+        if event.value and event.value != self.session.version():
+            self.session.model = event.value
+            self.changed()
+
+    def open(self) -> None:
+        """The list of all rollouts."""
+        entries = self.session.bench.catalogue.entries
+        rows = [row(e) for e in entries]
+        chosen = {str(e.path) for e in self.session.rollouts()}
+        columns = [
+            {"name": c, "label": label, "field": c, "sortable": True, "align": "left"} for c, label in COLUMNS.items()
+        ]
+        with ui.dialog() as dialog, ui.element("section").classes("tcbi-card").style("max-width: 1000px; width: 96vw"):
+            words("Rollouts", "h2")
+            soft("A diagnosis needs several kinds of motion, five or more at best, each recorded twice.")
+            buttons = ui.element("div").classes("tcbi-row")
+            grid = (
+                ui.table(columns=columns, rows=rows, row_key="path", selection="multiple", pagination=12)
+                .props("flat dense")
+                .style("width: 100%; max-height: 60vh")
+            )
+            with buttons:
+                narrow = ui.input(placeholder="filter, e.g. gait:steps").props("dense outlined clearable")
+                ui.button("All", on_click=lambda: self._select(grid, rows)).props("flat")
+                ui.button("Newest 20", on_click=lambda: self._select(grid, rows[:20])).props("flat")
+                ui.button("None", on_click=lambda: self._select(grid, [])).props("flat")
+            grid.selected = [r for r in rows if r["path"] in chosen]
+            narrow.bind_value_to(grid, "filter", forward=lambda v: v or "")
+            with ui.element("div").classes("tcbi-row"):
+                ui.button("Use these", on_click=lambda: self._use(dialog, grid))
+                ui.button("Cancel", on_click=dialog.close).props("flat")
+        dialog.on("hide", dialog.delete)
+        dialog.open()
+
+    @staticmethod
+    def _select(grid: ui.table, rows: list[dict]) -> None:
+        grid.selected = list(rows)
+        grid.update()
+
+    def _use(self, dialog: ui.dialog, grid: ui.table) -> None:
+        self.session.chosen = {r["path"] for r in grid.selected if not r["problem"]}
+        dialog.close()
+        self.refresh()
+        self.changed()
+
+
+def row(entry: Glance) -> dict:
+    """One line of the list."""
+    when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry.started)) if entry.started else "–"
+    slope = math.degrees(math.hypot(entry.slope_roll, entry.slope_pitch))
+    return {
+        "path": str(entry.path),
+        "when": when,
+        "rollout": entry.rollout_id,
+        "policy": entry.policy_id or "–",
+        "task": entry.problem or entry.task or "–",
+        "source": entry.source or "–",
+        "slope": f"{slope:.1f}",
+        "seconds": "–" if entry.seconds is None else f"{entry.seconds:.1f}",
+        "problem": entry.problem,
+    }

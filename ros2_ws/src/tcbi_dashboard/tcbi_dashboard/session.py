@@ -1,0 +1,54 @@
+"""What one browser has chosen: rollouts, a model version, the view, the moment to look at."""
+
+import dataclasses
+from collections.abc import Callable
+
+from tcbi_dashboard.workbench import Workbench
+from tcbi_infer.bags.glance import Glance
+
+FIRST_CHOICE = 40  # rollouts chosen at first, the newest ones
+RIG = "hexapod"
+
+
+@dataclasses.dataclass
+class Place:
+    """A moment of a rollout of the comparison that is shown."""
+
+    rollout: int
+    begin: float  # s
+    signal: str
+
+
+class Session:
+    """One browser's choices."""
+
+    def __init__(self, bench: Workbench) -> None:
+        self.bench = bench
+        self.model = "latest"
+        self.chosen: set[str] | None = None  # paths of bags; None until somebody chooses
+        self.place: Place | None = None
+        self.go_to: Callable[[str], None] = lambda _: None  # shows another view
+
+    def rollouts(self) -> list[Glance]:
+        """What is chosen and still there, the newest first."""
+        readable = [e for e in self.bench.catalogue.entries if not e.problem]
+        if self.chosen is None:
+            return readable[:FIRST_CHOICE]
+        return [e for e in readable if str(e.path) in self.chosen]
+
+    def bags(self) -> list[str]:
+        """Paths of the rollouts chosen, the oldest first."""
+        return [str(e.path) for e in reversed(self.rollouts())]
+
+    def rig(self) -> str:
+        """The rig of the rollouts chosen."""
+        return next((e.rig for e in self.rollouts() if e.rig), RIG)
+
+    def versions(self) -> list[str]:
+        """Versions of that rig's model, oldest first."""
+        return self.bench.store.versions(self.rig())
+
+    def version(self) -> str:
+        """The version chosen; the newest unless one is."""
+        known = self.versions()
+        return self.model if self.model in known else known[-1] if known else "latest"

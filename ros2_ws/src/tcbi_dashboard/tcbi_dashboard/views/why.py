@@ -1,0 +1,174 @@
+"""Why: which effect the model lacks, how sure that is, what it would change, and what to record next."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from tcbi_dashboard import charts, task
+from tcbi_dashboard.elements import card, chart, empty, notes, soft, table, words
+from tcbi_dashboard.picker import HOW_TO_RECORD, Picker
+from tcbi_dashboard.views.base import View
+
+HEADLINES = {
+    "effect": "An effect is missing",
+    "cannot_tell": "These rollouts cannot tell",
+    "nothing_missing": "Nothing missing was found",
+    "outside_library": "Something is missing that the library does not hold",
+}
+TONES = {"effect": "warn", "nothing_missing": "good"}
+LABELS = {"unfitted": "model as it was", "base": "model, parameters fitted"}
+
+
+def read(path: Path | None) -> dict[str, Any] | None:
+    """A diagnosis of the store, or None if there is none (any more)."""
+    if path is None:
+        return None
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+class WhyView(View):
+    """The view; it shows the newest diagnosis of the store."""
+
+    def build(self) -> None:
+        """The choice above, the verdict below."""
+        with card("Find the effect that the model lacks"):
+            self.picker = Picker(self.session, lambda: None)
+            with ui.element("div").classes("tcbi-row"):
+                ui.button("Diagnose", on_click=lambda: self.diagnose(False), icon="search").mark("diagnose")
+                quick = ui.button("Quick look", on_click=lambda: self.diagnose(True)).props("outline")
+                quick.tooltip("coarser steps, two full fits, nothing sealed").mark("quick")
+            soft("Every effect of the library is fitted and judged on motions that the fit has not seen.")
+        self.result = ui.element("div").classes("tcbi-grid").style("margin-top: 1rem")
+
+    def state(self) -> object:
+        """What the view depends on."""
+        return self.bench.diagnosis(), bool(self.bench.catalogue.entries)
+
+    def tick(self) -> None:
+        """Twice a second while it is seen."""
+        self.picker.refresh()
+        super().tick()
+
+    def diagnose(self, quick: bool) -> None:
+        """Start a diagnosis."""
+        self.start(self.bench.task(task.DIAGNOSE, self.session.version(), self.session.bags(), quick=quick))
+
+    def refresh(self) -> None:
+        """Show the newest diagnosis."""
+        path = self.bench.diagnosis()
+        found = read(path)
+        self.result.clear()
+        with self.result:
+            if found is None and not self.bench.catalogue.entries:
+                empty("There are no rollouts yet.", *HOW_TO_RECORD)
+            elif found is None:
+                empty(
+                    "Nothing has been diagnosed yet.",
+                    "Choose rollouts of several kinds of motion, five or more at best, each recorded twice; "
+                    "then Diagnose. It takes minutes, and can be cancelled.",
+                )
+            else:
+                assert path is not None
+                self._verdict(found)
+                self._next(found)
+                self._ladder(found)
+                self._ranking(found)
+                self._sizes(found)
+                self._moments(found, self.bench.moments(path))
+                self._untestable(found)
+
+    def _verdict(self, d: dict[str, Any]) -> None:
+        with card(HEADLINES.get(d["verdict"], d["verdict"])):
+            words(d["statement"], "p", f"tcbi-verdict {TONES.get(d['verdict'], '')}").mark("verdict")
+            notes([*d.get("guards", ()), *d.get("claims", ())])
+            if d.get("uses"):
+                use = d["uses"][0]
+                ui.button(f"Add {use} to the model", on_click=lambda: self.session.go_to("Add")).style(
+                    "align-self: start"
+                ).mark("go-add")
+
+    def _next(self, d: dict[str, Any]) -> None:
+        if not d.get("next_motions"):
+            return
+        with card("What to record next"):
+            soft("The motions that would tell most, each to be recorded twice.")
+            for motion in d["next_motions"]:
+                first, second = (use or "no new effect" for use in motion["between"])
+                words(f"{motion['description']}: tells {first} from {second}", "p")
+                if motion["command"]:
+                    with ui.element("p"):
+                        words(motion["command"], "code")
+
+    def _ladder(self, d: dict[str, Any]) -> None:
+        with card("How wrong is the model?", "half"):
+            errors = {LABELS.get(k, f"with {k}"): v for k, v in d["errors"].items() if v is not None}
+            chart(charts.ladder(errors), 90 + 44 * len(errors))
+            soft(f"On motions that no fit has seen; model {d['model']}, {len(d['rollouts'])} rollouts.")
+
+    def _ranking(self, d: dict[str, Any]) -> None:
+        ranking = [e for e in d["ranking"] if e["elpd_gain"] is not None and e["elpd_se"] is not None]
+        with card("Which effect explains the error?", "half"):
+            chart(charts.gains(ranking, d["uses"]), 90 + 26 * min(12, len(ranking)))
+            limit = charts.number(d.get("threshold"), 2)
+            soft(f"How much better unseen motions are predicted. Luck alone reaches {limit} standard errors.")
+        with card("The candidates in figures"):
+            columns = {"use": "effect", "gain": "held-out gain / nats", "se": "s.e.", "before": "error before",
+                       "after": "after", "size": "size (90 % interval)", "why": "accepted?"}  # fmt: skip
+            rows = [
+                {
+                    "use": e["use"],
+                    "gain": charts.number(e["elpd_gain"]),
+                    "se": charts.number(e["elpd_se"]),
+                    "before": charts.number(e["error_before"]),
+                    "after": charts.number(e["error_after"]) if e["refined"] else "–",
+                    "size": "; ".join(_size(p) for p in e["parameters"]) or "screened only",
+                    "why": "yes" if e["accepted"] else e["reason"],
+                }
+                for e in d["ranking"]
+            ]
+            with ui.expansion(f"{len(rows)} candidates").style("width: 100%"):
+                table(columns, rows, "use", pagination=10).props("wrap-cells")
+
+    def _sizes(self, d: dict[str, Any]) -> None:
+        named = [e for e in d["ranking"] if e["use"] in d["uses"] and e["refined"]]
+        for estimate in (p for e in named for p in e["parameters"]):
+            with card(estimate["name"], "third"):
+                words(_size(estimate), "p")
+                chart(charts.interval(estimate), 130)
+                if estimate["null"] is not None:
+                    soft("Dot: fitted value; bar: 90 % interval; cross: where the effect would vanish.")
+
+    def _moments(self, d: dict[str, Any], moments: list[dict[str, Any]]) -> None:
+        best = d["ranking"][0]["use"] if d["ranking"] else ""
+        for moment in moments[:4]:
+            with card(f"{moment['signal']} before and after", "half"):
+                chart(charts.moment(moment, best), 280)
+                soft(f"Rollout {moment['rollout']}; both were fitted to other kinds of motion than this.")
+
+    def _untestable(self, d: dict[str, Any]) -> None:
+        shown = [s for s in d.get("detectable", ()) if s["value"] is not None]
+        if shown:
+            with card("The smallest effects that these rollouts could have shown"):
+                rows = [
+                    {"use": s["use"], "value": f"{s['parameter'].rpartition('.')[2]} {charts.number(s['value'])} "
+                                               f"{s['unit'].removeprefix('1')}".strip()}
+                    for s in shown
+                ]  # fmt: skip
+                with ui.expansion(f"{len(rows)} sizes").style("width: 100%"):
+                    table({"use": "effect", "value": "smallest size"}, rows, "use", pagination=10)
+        if d.get("untestable"):
+            with card("What these rollouts cannot test"):
+                soft(
+                    "In these rollouts the following change nothing that can be measured: " + ", ".join(d["untestable"])
+                )
+
+
+def _size(p: dict[str, Any]) -> str:
+    name, unit = p["name"].rpartition(".")[2], p["unit"].removeprefix("1")
+    low, high = charts.number(p["low90"]), charts.number(p["high90"])
+    return f"{name} {charts.number(p['value'])} ({low} to {high}) {unit}".strip()

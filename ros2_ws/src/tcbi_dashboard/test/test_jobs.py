@@ -1,0 +1,101 @@
+"""One job at a time, watched and cancelled."""
+
+import threading
+from typing import Any
+
+import pytest
+
+from tcbi_dashboard.errors import DashboardError
+from tcbi_dashboard.jobs import TITLES, Slot
+from tcbi_dashboard.task import COMPARE, DIAGNOSE, MODULE, Task
+from tcbi_dashboard.work import RUNS
+
+
+class Told:
+    """A worker that says what the test tells it."""
+
+    def __init__(self, job: Task, module: str) -> None:
+        self.job, self.module = job, module
+        self.said: list[dict[str, Any]] = []
+        self.stopped = threading.Event()
+
+    def events(self):
+        while self.said:
+            yield self.said.pop(0)
+
+    def stop(self) -> None:
+        self.stopped.set()
+
+
+@pytest.fixture
+def slot():
+    """A slot, and the workers that it made."""
+    made: list[Told] = []
+
+    def make(job, module):
+        made.append(Told(job, module))
+        return made[-1]
+
+    return Slot(make), made
+
+
+def test_a_task_survives_its_line():
+    task = Task(DIAGNOSE, "/store", "hexapod-v1", ("a", "b"), {"quick": True})
+    assert Task.from_json(task.to_json()) == task
+
+
+def test_every_kind_of_task_can_be_run_and_has_a_title():
+    assert set(RUNS) == set(TITLES)
+
+
+def test_progress_and_result_are_taken_in(slot):
+    slot, made = slot
+    job = slot.start(Task(COMPARE, "/store"))
+    assert made[0].module == MODULE and slot.busy
+    made[0].said = [
+        {"event": "progress", "stage": "replaying", "share": 0.5, "remaining_s": 3.0},
+        {"event": "result", "folder": "x"},
+    ]
+    slot.poll()
+    assert (job.stage, job.share, job.remaining_s, job.result) == ("replaying", 0.5, 3.0, {"folder": "x"})
+    made[0].said = [{"event": "done"}]
+    slot.poll()
+    assert job.ended and not job.failed and not slot.busy
+    assert made[0].stopped.wait(5.0)
+
+
+def test_a_second_job_is_refused_while_one_runs(slot):
+    slot, _ = slot
+    slot.start(Task(COMPARE, "/store"))
+    with pytest.raises(DashboardError, match="Comparing is still going on"):
+        slot.start(Task(DIAGNOSE, "/store"))
+
+
+def test_a_cancelled_job_ends_at_once_and_makes_room(slot):
+    slot, made = slot
+    job = slot.start(Task(COMPARE, "/store"))
+    slot.cancel()
+    assert job.cancelled and job.ended and not slot.busy
+    assert made[0].stopped.wait(5.0)
+    slot.cancel()
+    slot.start(Task(DIAGNOSE, "/store"))
+    assert slot.busy
+
+
+def test_a_failure_is_kept_in_its_own_words(slot):
+    slot, made = slot
+    job = slot.start(Task(COMPARE, "/store"))
+    made[0].said = [{"event": "failed", "message": "the disk is full"}]
+    slot.poll()
+    assert job.failed == "the disk is full" and job.ended and not slot.busy
+
+
+def test_a_real_worker_says_why_it_failed(tmp_path):
+    slot = Slot()
+    job = slot.start(Task(COMPARE, str(tmp_path), bags=(str(tmp_path / "nowhere"),)))
+    deadline = threading.Event()
+    for _ in range(600):
+        slot.poll()
+        if job.ended or deadline.wait(0.1):
+            break
+    assert "there is no such bag" in job.failed
