@@ -57,6 +57,21 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
     return result
 
 
+def indistinct(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
+    """Accepted candidates that must be named with the best one.
+
+    Those that the gains cannot tell from it, except a richer law of the same look; and those that change the signals
+    alike, whatever the gains say: between these a discrepancy of the simulation decides, not the robot.
+    """
+    unclear = {r.use for r in rivals(best, others)}
+    return [
+        o
+        for o in others
+        if not _richer_twin(best, o)
+        and (o.use in unclear or (o.use in best.alike and len(o.parameters) == len(best.parameters)))
+    ]
+
+
 def _richer_twin(best: Evidence, other: Evidence) -> bool:
     """Whether `other` has more parameters, looks the same and predicts no better: no rival of the plainer law."""
     return other.use in best.alike and len(other.parameters) > len(best.parameters)
@@ -101,7 +116,7 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
             f"{best.error_before:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
-    equal = [r for r in rivals(best, accepted[1:]) if not _richer_twin(best, r)]
+    equal = indistinct(best, accepted[1:])
     caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])

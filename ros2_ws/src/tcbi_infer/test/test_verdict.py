@@ -1,0 +1,103 @@
+"""What is required before an effect is named, and what is said otherwise."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tcbi_infer.diagnose.evidence import (
+    CANNOT_TELL,
+    EFFECT,
+    NOTHING_MISSING,
+    OUTSIDE_LIBRARY,
+    Evidence,
+    ParameterEstimate,
+)
+from tcbi_infer.diagnose.verdict import accept, ranked, rule
+
+GAINS = (40.0, 45.0, 38.0, 42.0, 41.0, 44.0)
+
+
+def evidence(
+    use: str, gains=GAINS, after: float = 1.5, before: float = 6.0, parameters: int = 1, **changes
+) -> Evidence:
+    """A candidate that passes every requirement, but for `changes`."""
+    gains = np.array(gains, float)
+    sizes = tuple(ParameterEstimate(f"{use}.{i}", "1", 0.5, 0.4, 0.6, 0.0) for i in range(parameters))
+    found = Evidence(
+        effect=use, use=use, elpd_gain=float(gains.sum()), elpd_se=1.0, statistic=9.0, error_before=before,
+        error_after=after, parameters=sizes, refined=True, converged=True, gains=tuple(gains),
+    )  # fmt: skip
+    return dataclasses.replace(found, **changes)
+
+
+def ruled(*found: Evidence, base_error: float = 6.0, kinds: int = 6):
+    """The ruling on candidates after they have been tried against a threshold of 3 standard errors."""
+    judged = []
+    for e in found:
+        accepted, reason = accept(e, 3.0)
+        judged.append(dataclasses.replace(e, accepted=accepted, reason=reason))
+    return rule(ranked(judged), base_error, kinds)
+
+
+def test_the_only_candidate_that_passes_is_named():
+    ruling = ruled(evidence("backlash"), evidence("payload", statistic=1.0))
+    assert (ruling.verdict, ruling.uses) == (EFFECT, ("backlash",))
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"statistic": 2.9},
+        {"error_after": 5.8},
+        {"converged": False},
+        {"refined": False},
+        {"parameters": (ParameterEstimate("gap", "rad", 0.01, 0.0, 0.02, 0.0),)},
+    ],
+)
+def test_a_candidate_that_fails_one_requirement_is_not_named(fault):
+    assert ruled(evidence("backlash", **fault), base_error=2.0).verdict == NOTHING_MISSING
+
+
+def test_candidates_whose_gains_are_alike_are_both_named_as_possible():
+    other = tuple(g + d for g, d in zip(GAINS, (2, -3, 1, -2, 3, -2), strict=True))
+    ruling = ruled(evidence("backlash"), evidence("payload", other))
+    assert ruling.verdict == CANNOT_TELL and set(ruling.uses) == {"backlash", "payload"}
+
+
+def test_a_candidate_that_predicts_every_motion_worse_is_no_rival():
+    assert ruled(evidence("backlash"), evidence("payload", [g - 20 for g in GAINS])).verdict == EFFECT
+
+
+def test_two_effects_that_change_the_signals_alike_are_not_told_apart_however_steady_the_difference():
+    late = evidence("sensor_latency", alike=("command_latency",))
+    ruling = ruled(late, evidence("command_latency", [g - 5 for g in GAINS], alike=("sensor_latency",)))
+    assert ruling.verdict == CANNOT_TELL and set(ruling.uses) == {"sensor_latency", "command_latency"}
+
+
+def test_a_law_with_more_parameters_that_looks_the_same_and_gains_nothing_is_no_rival():
+    plain = evidence("coulomb_friction", alike=("stribeck_friction",))
+    richer = evidence("stribeck_friction", count=3, alike=("coulomb_friction",))
+    assert ruled(plain, richer).uses == ("coulomb_friction",)
+
+
+def test_a_richer_law_that_predicts_every_motion_better_is_named_alone():
+    plain = evidence("coulomb_friction", alike=("stribeck_friction",))
+    richer = evidence("stribeck_friction", [g + 20 for g in GAINS], count=3, alike=("coulomb_friction",))
+    assert ruled(plain, richer).uses == ("stribeck_friction",)
+
+
+def test_a_large_error_that_no_candidate_explains_lies_outside_the_library():
+    assert ruled(evidence("backlash", after=18.0, before=20.0), base_error=20.0).verdict == OUTSIDE_LIBRARY
+    assert (
+        ruled(evidence("backlash", statistic=1.0, after=19.0, before=20.0), base_error=20.0).verdict == OUTSIDE_LIBRARY
+    )
+
+
+def test_a_large_error_that_an_uncertain_candidate_would_explain_is_left_open():
+    ruling = ruled(evidence("backlash", statistic=2.0, after=2.0, before=20.0), base_error=20.0)
+    assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("backlash",))
+
+
+def test_one_kind_of_motion_tells_nothing():
+    assert ruled(evidence("backlash", gains=(40.0,)), kinds=1).verdict == CANNOT_TELL
