@@ -66,6 +66,11 @@ def test_the_report_shows_generations_beside_the_known_truth(bags, tmp_path, cap
     assert "Over the generations" in html and "Variance of gain" in html and "inside?" in html
 
 
+def test_a_truth_of_an_unknown_parameter_is_refused_with_the_names_known(bags, tmp_path, capsys) -> None:
+    assert infer(bags, tmp_path, "--truth", "gian=2") != 0
+    assert "did you mean 'gain'" in capsys.readouterr().err
+
+
 def test_a_method_to_compare_with_says_what_its_posterior_is(bags, tmp_path, capsys) -> None:
     assert infer(bags, tmp_path, "--method", "simopt", "--set", "kl_bound=0.06") == 0
     text = capsys.readouterr().out
@@ -78,7 +83,6 @@ def test_a_method_to_compare_with_says_what_its_posterior_is(bags, tmp_path, cap
         (("--method", "magic"), "unknown method 'magic'"),
         (("--particles", "1"), "particles: got 1, allowed is 10 or more"),
         (("--set", "alpha=5"), "method calibrated has no setting 'alpha'; it has particles, generations"),
-        (("--truth", "gian=2"), "gain"),
         (("--divergence", "mmd"), "method calibrated works with the divergence js alone"),
         (("--statistics", "speed"), "unknown statistic speed"),
         (("--model", "hexapod-v0"), "is of rig hexapod"),

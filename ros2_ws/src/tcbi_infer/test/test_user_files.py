@@ -1,6 +1,7 @@
 """A user's own statistics and divergences: found in a folder, used by name, and never able to break the rest."""
 
 import logging
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,7 +52,7 @@ def test_a_statistic_and_a_divergence_in_a_file_are_used_by_name(folders: Path) 
     model, measurements = bench_rollouts(count=4)
     problem = Problem.of(model, measurements, statistics=("speed",), divergence_name="means", timestep=0.01)
     unit = np.array([BENCH_TRUTH, (0.9, *BENCH_TRUTH[1:])])
-    assert problem.observed.channels == ("speed/joint",) or problem.observed.statistics == ("speed",)
+    assert problem.observed.statistics == ("speed",)
     assert problem.simulate(unit).divergence.shape == (2, 1)
     assert {"js", "mmd", "means"} <= set(divergence.library())
 
@@ -75,6 +76,16 @@ def test_a_file_that_cannot_be_used_is_left_out_with_a_line(folders, caplog, kin
         known = statistics.library() if kind == "statistics" else divergence.library()
     assert len(known) == (6 if kind == "statistics" else 4)
     assert len(caplog.records) == 1 and said in caplog.records[0].getMessage()
+
+
+def test_the_examples_of_the_page_are_fit_for_use(folders: Path) -> None:
+    page = Path(__file__).resolve().parents[4] / "docs" / "tcbi.md"
+    shown = re.findall(r"```python\n(\"\"\"(\w+/\w+\.py):.*?)```", page.read_text(), re.DOTALL)
+    assert [name for _, name in shown] == ["statistics/joint_speed.py", "divergences/means.py"]
+    for text, name in shown:
+        (folders / name).write_text(text)
+    problem = Problem.of(*bench_rollouts(count=3), statistics=("joint_speed",), divergence_name="means", timestep=0.01)
+    assert np.isfinite(problem.simulate(np.array([BENCH_TRUTH])).divergence).all()
 
 
 def test_a_users_statistic_that_fails_on_rollouts_is_named_with_its_line(folders: Path) -> None:

@@ -7,8 +7,8 @@ import torch
 from torch import nn
 
 HELD_OUT = 0.2  # share of the simulations that decide when to stop
-PATIENCE = 30  # epochs without a better held-out likelihood
-MOST_EPOCHS = 300
+PATIENCE = 60  # epochs without a better held-out likelihood
+MOST_EPOCHS = 1000
 BATCH = 64
 RATE = 3e-3
 DECAY = 1e-3

@@ -44,17 +44,17 @@ def observe(problem: Problem) -> Trajectories:
 def trajectories(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> Trajectories:
     """The view of `Problem.simulate` for trajectory-based methods."""
     attitude = all(group.arrays.attitude is not None for group in problem.groups)
-    absolute, square, summary, samples, count = 0.0, 0.0, 0.0, 0, 0
+    parts = []
     for group, arrays in zip(problem.groups, rollouts, strict=True):
-        difference = _state(arrays, attitude) - _state(group.arrays, attitude)
-        absolute = absolute + np.abs(difference).sum(axis=(1, 2))
-        square = square + (difference**2).sum(axis=(1, 2))
-        summary = summary + _summary(arrays, attitude, problem.rate).sum(axis=1)
-        samples += difference.shape[1] * difference.shape[2]
-        count += difference.shape[1]
-    return Trajectories(
-        np.asarray(absolute) / samples, np.asarray(square) / samples, np.asarray(summary) / count, valid
-    )
+        real = _state(group.arrays, attitude)
+        measured = np.isfinite(real)
+        difference = np.where(measured, _state(arrays, attitude) - real, 0.0)
+        summary = _summary(arrays, attitude, problem.rate)
+        sums = np.abs(difference).sum(axis=(1, 2)), (difference**2).sum(axis=(1, 2)), np.nansum(summary, axis=1)
+        parts.append((*sums, measured.sum(axis=(1, 2)), np.full(1, summary.shape[1])))
+    absolute, square, summary, samples, count = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
+    samples = np.maximum(samples, 1)
+    return Trajectories(absolute / samples, square / samples, summary / count, valid)
 
 
 def _state(arrays: RolloutArrays, attitude: bool) -> np.ndarray:

@@ -23,7 +23,7 @@ from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, divergences, samples
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
-from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, sample_rate, sensor_noise
+from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noisier, sample_rate, sensor_noise
 from tcbi_policy.artefact import GAIT_PREFIX, find_policy
 from tcbi_policy.errors import PolicyError
 from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
@@ -122,11 +122,14 @@ class Problem:
             tuple(kept[i].name for i in present),
             tuple(names[i] for i in used),
         )
+        nominal = load_rig(model.rig).noise
+        noise = sensor_noise(usable, nominal)
         return cls(
             model, tuple(groups), tuple(controllers.get(g.measurements[0].policy_id) for g in groups), kept, observed,
-            binnings, tuple(pooled[i] for i in used), blocks, sensor_noise(usable, load_rig(model.rig).noise),
+            binnings, tuple(pooled[i] for i in used), blocks, noise,
             timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
-            (*warnings, said, *left_out, *_silent(names, used)),
+            (*warnings, said, *left_out,
+             *_silent(names, used), *_constant(names, used, pooled), *noisier(noise, nominal)),
             known,
         )  # fmt: skip
 
@@ -352,3 +355,8 @@ def _mean_reward(statistics: tuple[Statistic, ...], parts: list[list[np.ndarray]
 def _silent(names: list[str], used: list[int]) -> tuple[str, ...]:
     silent = [name for i, name in enumerate(names) if i not in used]
     return (f"without samples, left out: {', '.join(silent)}",) if silent else ()
+
+
+def _constant(names: list[str], used: list[int], pooled: list[np.ndarray]) -> tuple[str, ...]:
+    constant = [f"{names[i]} ({pooled[i][0]:.3g})" for i in used if np.ptp(pooled[i]) == 0]
+    return (f"the same in every sample, so it tells little: {', '.join(constant)}",) if constant else ()

@@ -16,6 +16,7 @@ from tcbi_sim.rigs import load_rig
 
 ENOUGH = 8  # rollouts, below which rollouts are cut into blocks so that their scatter can be seen
 LEAST_SAMPLES = 20
+NOISIER = 3.0  # times the rig's noise: recordings as noisy as that are believed to be so
 FINE_S = 0.02  # a gap is longer
 
 
@@ -143,23 +144,40 @@ def _until(m: Measurement, duration: float) -> Measurement:
 
 
 def sensor_noise(measurements: Sequence[Measurement], nominal: Noise) -> Noise:
-    """White noise for simulated readings: the rig's, or less where the recordings show less.
+    """White noise for simulated readings: the rig's, less if the recordings show less, more if they show much more.
 
     Third differences of smooth signals leave little but noise; the median is taken, since motion can only add to it.
+    Body rates are not smooth where feet strike: their noise is never taken for more than the rig's.
     """
 
-    def least(field: str, sd: float) -> float:
+    def shown(field: str) -> float:
         values = [v for v in (getattr(m, field) for m in measurements) if v is not None and len(v) > 4]
         if not values:
             return 0.0
-        spread = [np.median(np.abs(np.diff(v, n=3, axis=0))) / (0.6745 * np.sqrt(20.0)) for v in values]
-        return min(sd, float(np.median(spread)))
+        spread = [np.nanmedian(np.abs(np.diff(v, n=3, axis=0))) / (0.6745 * np.sqrt(20.0)) for v in values]
+        return float(np.median(spread))
+
+    def state(found: float, sd: float) -> float:
+        return found if found > NOISIER * sd else min(sd, found)
 
     return Noise(
-        joint_position=least("joint_position", nominal.joint_position),
-        attitude=least("attitude", nominal.attitude / 2) * 2,
-        angular_velocity=least("angular_velocity", nominal.angular_velocity),
+        joint_position=state(shown("joint_position"), nominal.joint_position),
+        attitude=state(2 * shown("attitude"), nominal.attitude),
+        angular_velocity=min(nominal.angular_velocity, shown("angular_velocity")),
     )
+
+
+def noisier(noise: Noise, nominal: Noise) -> list[str]:
+    """A line for each reading that is much noisier than the rig's sensors are."""
+    readings = (
+        ("joint angles", noise.joint_position, nominal.joint_position),
+        ("attitude", noise.attitude, nominal.attitude),
+    )
+    return [
+        f"{name} are recorded with a noise of {seen:.2g} rad where the rig has {sd:.2g}; simulated readings get as much"
+        for name, seen, sd in readings
+        if seen > sd
+    ]
 
 
 def _some(names: Sequence[str]) -> str:

@@ -1,0 +1,123 @@
+"""Do posteriors hold the truth, and how near do they come? TCBI beside every method it is compared with.
+
+./tcbi python bench/calibration --quick
+./tcbi python bench/calibration --source model --task balance --methods calibrated --truths 0:100 --keep runs.jsonl
+./tcbi python bench/calibration --source robot --methods all --truths 0:20 --keep runs.jsonl
+./tcbi python bench/calibration --noise 0,0.02,0.04,0.08 --methods calibrated --truths 0:20 --keep noise.jsonl
+./tcbi python bench/calibration --figures runs.jsonl            # of what was kept; nothing is run
+
+A truth is recorded (source `model`: drawn from the prior, simulated with finer steps and sensor noise; source `robot`:
+an emulated robot, another implementation with its own contacts and friction), and every method infers it from the same
+rollouts with the same number of simulations. `--keep FILE` holds one JSON line for each inference; what is there
+already is not run again, so a stopped run goes on.
+"""
+
+import argparse
+import itertools
+import json
+import multiprocessing
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from figures import figures
+from jobs import Case, Result, run
+
+from tcbi_infer.tcbi.method import METHODS
+
+QUICK = {
+    "methods": "calibrated,prior",
+    "truths": "0:2",
+    "rollouts": 8,
+    "particles": 16,
+    "generations": 3,
+    "duration": 2,
+}
+
+
+def cases(options: argparse.Namespace) -> list[Case]:
+    """All that is asked for, truth by truth, so that each is recorded once."""
+    first, end = (int(n) for n in options.truths.split(":"))
+    methods = list(METHODS) if options.methods == "all" else options.methods.split(",")
+    noises = [float(x) for x in options.noise.split(",")]
+    settings = dict(pair.split("=") for pair in options.set)
+    return [
+        Case(
+            source, task, truth, method, noise, options.rollouts, options.duration, options.particles,
+            options.generations, options.bins, tuple((k, float(v)) for k, v in sorted(settings.items())),
+        )
+        for source, task, truth, noise, method in itertools.product(
+            options.source.split(","), options.task.split(","), range(first, end), noises, methods
+        )
+    ]  # fmt: skip
+
+
+def kept(path: Path | None) -> list[Result]:
+    """What an earlier run left; a last line that was cut off is dropped."""
+    found = []
+    for line in path.read_text().splitlines() if path and path.exists() else []:
+        try:
+            found.append(json.loads(line))
+        except ValueError:
+            print(f"{path}: a line that was cut off is left out", file=sys.stderr)
+    return found
+
+
+def results(wanted: list[Case], keep: Path | None, workers: int) -> Iterator[Result]:
+    """Of all cases, those kept from an earlier run first."""
+    done = {json.dumps(r["case"], sort_keys=True): r for r in kept(keep)}
+    left = []
+    for case in wanted:
+        old = done.get(case.key())
+        if old is None:
+            left.append(case)
+        else:
+            yield old
+    began = time.monotonic()
+    for i, result in enumerate(_run_all(left, workers), 1):
+        if keep:
+            torn = keep.exists() and not keep.read_bytes().endswith(b"\n")
+            with keep.open("a") as file:
+                file.write("\n" * torn + json.dumps(result) + "\n")
+        rest = (time.monotonic() - began) / i * (len(left) - i)
+        case = result["case"]
+        what = f"{case['source']} {case['task']} truth {case['truth']}, {case['method']}"
+        print(f"{i}/{len(left)}, {rest:.0f} s left; {what}: {result['cpu_s']:.1f} s", file=sys.stderr, flush=True)
+        yield result
+
+
+def _run_all(left: list[Case], workers: int) -> Iterator[Result]:
+    if workers == 1:
+        yield from map(run, left)
+        return
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        yield from pool.imap(run, left, chunksize=1)
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="two truths of each task, two methods, short rollouts")
+    parser.add_argument("--source", default="model", help="model, robot, or both with a comma")
+    parser.add_argument("--task", default="balance,forward", help="with commas")
+    parser.add_argument("--methods", default="calibrated", help="with commas, or all")
+    parser.add_argument("--truths", default="0:100", help="first:end of their numbers")
+    parser.add_argument("--noise", default="0", help="sigma of equation 14 in rad, added to what was recorded; commas")
+    parser.add_argument("--rollouts", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=8.0, help="of each rollout, s")
+    parser.add_argument("--particles", type=int, default=50)
+    parser.add_argument("--generations", type=int, default=6)
+    parser.add_argument("--bins", type=int, default=20)
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the method's own"
+    )
+    parser.add_argument("--keep", type=Path, help="file of results, one JSON object a line")
+    parser.add_argument("--figures", type=Path, metavar="FILE", help="only print what this file of results says")
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    if options.quick:
+        vars(options).update(QUICK)
+    found = kept(options.figures) if options.figures else list(results(cases(options), options.keep, options.workers))
+    print(json.dumps({"name": "calibration", "figures": figures(found)}, indent=2))
+    return 0

@@ -1,0 +1,100 @@
+"""bench/calibration: what it counts is right, and a stopped run goes on where it was."""
+
+import importlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "bench" / "calibration"
+NAMES = ("figures", "jobs", "truths", "main")
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[dict[str, ModuleType]]:
+    """The benchmark's modules, as its script sees them."""
+    sys.path.insert(0, str(FOLDER))
+    try:
+        yield {name: importlib.import_module(name) for name in NAMES}
+    finally:
+        sys.path.remove(str(FOLDER))
+        for name in NAMES:
+            sys.modules.pop(name, None)
+
+
+def case(bench: dict[str, ModuleType], truth: int = 0, method: str = "calibrated"):
+    return bench["jobs"].Case("model", "forward", truth, method, 0.0, 20, 8.0, 50, 6, 20, (("alpha", 5.0),))
+
+
+def result(bench: dict[str, ModuleType], truth: int, method: str, error: float, sd: float = 0.05) -> dict:
+    """An inference that is `error` off, with intervals of 1.645 sd on either side, of a parameter from 0 to 1."""
+    at = 0.2 + 0.006 * truth
+    parameter = {
+        "name": "friction", "truth": at, "mean": at + error, "center": at + error, "low90": at + error - 1.645 * sd,
+        "high90": at + error + 1.645 * sd, "identified": True, "unit_truth": at, "unit_error": error, "unit_sd": sd,
+        "rank": 0.5,
+    }  # fmt: skip
+    return {"case": json.loads(case(bench, truth, method).key()), "parameters": [parameter], "cpu_s": 1.0}
+
+
+def value(rows: list[dict], words: str) -> dict:
+    (row,) = [row for row in rows if words in row["name"]]
+    return row
+
+
+def test_errors_coverage_and_the_ratio_to_another_method(bench) -> None:
+    rng = np.random.default_rng(0)
+    errors = 0.05 * rng.standard_normal(100)
+    found = [result(bench, i, "calibrated", e) for i, e in enumerate(errors)]
+    found += [result(bench, i, "simopt", 2 * e) for i, e in enumerate(errors)]
+    rows = bench["figures"].figures(found)
+    rmse = value(rows, "calibrated: RMSE of friction, 100 truths")
+    assert rmse["value"] == pytest.approx(np.sqrt(np.mean(errors**2)), abs=1e-3) and rmse["met"]
+    covered = value(rows, "calibrated: 90 % intervals that hold the truth, of 100")
+    assert covered["value"] == pytest.approx(np.mean(np.abs(errors) < 1.645 * 0.05), abs=1e-3)
+    assert covered["target"] == "0.85 to 0.95"
+    against = value(rows, "simopt: calibrated's error over its, 100 truths, 90 % 0.50 to 0.50")
+    assert against["value"] == 0.5 and against["met"]
+    narrow = bench["figures"].figures([result(bench, i, "calibrated", e, 0.01) for i, e in enumerate(errors)])
+    assert not value(narrow, "calibrated: 90 % intervals that hold the truth, of 100")["met"]
+
+
+def test_a_stopped_run_goes_on_and_a_line_that_was_cut_off_is_run_again(bench, tmp_path, monkeypatch, capsys) -> None:
+    keep, ran, main = tmp_path / "kept.jsonl", [], bench["main"]
+
+    def run(wanted):
+        ran.append(wanted.truth)
+        return result(bench, wanted.truth, wanted.method, 0.0)
+
+    monkeypatch.setattr(main, "run", run)
+    cases = [case(bench, i) for i in range(4)]
+    list(main.results(cases[:2], keep, 1))
+    with keep.open("a") as file:
+        file.write('{"case": {"sour')
+    list(main.results(cases[:3], keep, 1))
+    assert ran == [0, 1, 2]
+    assert "cut off" in capsys.readouterr().err
+    assert len(list(main.results(cases, keep, 1))) == 4 and ran == [0, 1, 2, 3]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", ["model", "robot"])
+def test_an_inference_of_a_known_truth_is_judged(bench, source: str) -> None:
+    small = bench["jobs"].Case(source, "forward", 0, "rejection", 0.02, 4, 1.0, 10, 1, 20, ())
+    found = json.loads(json.dumps(bench["jobs"].run(small)))
+    assert [p["name"] for p in found["parameters"]] == ["friction", "mass", "gain"]
+    assert found["closed_loop"] and found["simulations"] == 40
+    assert all(p["low90"] <= p["high90"] and 0 <= p["rank"] <= 1 for p in found["parameters"])
+
+
+def test_noise_of_equation_14_has_the_size_asked_for(bench) -> None:
+    _, rollouts = bench["truths"].recorded("model", "balance", 0, 2, 1.0)
+    noisy = bench["truths"].with_state_noise(rollouts, 0.05, 0)
+    pairs = zip(noisy, rollouts, strict=True)
+    added = np.concatenate([(a.joint_position - b.joint_position).ravel() for a, b in pairs])
+    assert added.std() == pytest.approx(0.05, rel=0.05)
+    assert bench["truths"].with_state_noise(rollouts, 0.0, 0) is rollouts
