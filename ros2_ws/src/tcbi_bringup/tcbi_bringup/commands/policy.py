@@ -1,6 +1,7 @@
-"""`./tcbi policy`: list, show and measure policies."""
+"""`./tcbi policy`: list, show, measure and export policies."""
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from tcbi_bringup.arguments import at_least
@@ -11,7 +12,7 @@ UNITS = {
     **{"final_inclination_deg": "deg", "distance_m": "m", "median_distance_m": "m"},
 }
 POINTS = "return: points of the task's reward, summed over an episode; docs/policies.md says what each is given for"
-SUMMARY = "List the policies, show one's card, or measure it in simulations drawn from a model."
+SUMMARY = "List the policies, show one's card, measure it in simulations drawn from a model, or export it."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,12 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rollouts", type=at_least(1), default=64, help="how many rollouts to measure with (default: 64)"
     )
     parser.add_argument("--seed", type=at_least(0), default=1, help="of parameters and scenarios (default: 1)")
+    parser.add_argument(
+        "--onnx", type=Path, metavar="FILE", help="write the network, scaling included, as an ONNX model"
+    )
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(
         parser,
         "./tcbi policy",
         "./tcbi policy balance",
+        "./tcbi policy balance --onnx balance.onnx",
         "./tcbi policy gait:tripod --measure --task forward --rollouts 32",
     )
 
@@ -46,6 +51,8 @@ def run(args: argparse.Namespace) -> int:
         return _list(args, store.root)
     policy = find_policy(args.policy, store.root)
     facts = _facts(policy)
+    if args.onnx:
+        facts["onnx"] = _export(policy, args.onnx)
     if args.measure:
         facts["measured"] = _measure(args, store, policy)
     if args.json:
@@ -83,6 +90,19 @@ def _facts(policy: Any) -> dict[str, Any]:
     facts = {"policy_id": policy.policy_id, "path": str(policy.path), "steps": training.get("steps_taken")}
     facts |= {key: getattr(card, key) for key in ("task", "model", "parent", "created")}
     return facts | {key: training.get(key) for key in ("algorithm", "cpu_s", "seed", "mean_return")}
+
+
+def _export(policy: Any, path: Path) -> str:
+    from tcbi_policy.artefact import Policy, replace_file
+    from tcbi_policy.errors import PolicyError
+    from tcbi_policy.onnx_file import to_onnx
+
+    if not isinstance(policy, Policy):
+        raise PolicyError(f"{policy.policy_id} is a script and has no network to export; name a trained policy")
+    if not path.parent.is_dir():
+        raise PolicyError(f"{path.parent} is no folder; make it, or give another path to --onnx")
+    replace_file(path, to_onnx(policy.mlp, policy.card))
+    return str(path)
 
 
 def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any]:

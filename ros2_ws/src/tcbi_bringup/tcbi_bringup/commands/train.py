@@ -27,6 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps", type=at_least(1), default=0, help="control steps of all simulations together (default: the preset's)"
     )
     parser.add_argument("--budget", type=above(0.0), default=0.0, metavar="SECONDS", help="stop after this time, too")
+    parser.add_argument(
+        "--prior", action="store_true", help="draw from the prior of the model's parameters, not from its posterior"
+    )
+    parser.add_argument(
+        "--effect", action="append", default=[], metavar="NAME[:PLACE]",
+        help="a further effect that half of the episodes have, such as command_latency or lost_commands; repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--noise", type=at_least(0.0), default=0.0, metavar="RAD", help="standard deviation of noise on the observation"
+    )
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(
@@ -34,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi train --task balance",
         "./tcbi train --task forward --seed 3 --out walker --json",
         "./tcbi train --task balance --model hexapod-v2 --start balance --budget 120",
+        "./tcbi train --task balance --noise 0.02 --effect command_latency --effect lost_commands --out robust",
     )
 
 
@@ -48,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     folder = write_run(store.folder("runs") / planned.key("train"), planned)
     console.note_model(args.model, planned.model)
     console.note(f"training {args.task} on {planned.model}; interrupted, the same command goes on from {folder}")
+    console.note(f"to watch it with TensorBoard: tensorboard --logdir {folder}")
     done: dict[str, Any] = {}
     with TrainingProcess(folder) as process, console.progress("training", total=1.0) as advance:
         for event in process.events():
@@ -67,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
 def _plan(args: argparse.Namespace, store: Any) -> Any:
     from tcbi_policy.artefact import find_policy
     from tcbi_policy.configuration import preset
+    from tcbi_policy.randomisation import randomised
     from tcbi_policy.retraining import fine_tuning
     from tcbi_policy.runs import Run
 
@@ -75,13 +88,17 @@ def _plan(args: argparse.Namespace, store: Any) -> Any:
         find_policy(args.start, store.root)
         config = fine_tuning(config)
     changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "steps": args.steps or config.steps}
-    return Run(
-        dataclasses.replace(config, **changes).checked(), store.load(args.model).version, str(store.root), args.start
-    )
+    changes |= {"prior": args.prior, "effects": tuple(args.effect), "observation_noise": args.noise}
+    config, model = dataclasses.replace(config, **changes).checked(), store.load(args.model)
+    randomised(model, config.effects)  # refuses what cannot be before a process is started
+    return Run(config, model.version, str(store.root), args.start)
 
 
 def _publish(folder: Path, out: str, root: Path) -> Path:
-    """Keep the policy under a name in the store or as a file; the run's folder is then done with."""
+    """Keep the policy under a name in the store or as a file, and what was logged; the run's folder is then done with.
+
+    What was logged moves to `tensorboard/NAME` of the store.
+    """
     import shutil
 
     from tcbi_policy.artefact import load_policy, save_policy
@@ -91,6 +108,9 @@ def _publish(folder: Path, out: str, root: Path) -> Path:
     trained = load_policy(folder / "policy.safetensors")
     path = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name)).path
     assert path is not None
+    logged = root / "tensorboard" / stem.name
+    shutil.rmtree(logged, ignore_errors=True)
+    shutil.copytree(folder / "tensorboard", logged)
     shutil.rmtree(folder, ignore_errors=True)
     return path
 
