@@ -64,7 +64,7 @@ class Shell:
         dark = ui.dark_mode(None)
         with ui.element("header").classes("tcbi-head"):
             ui.html("tcbi", tag="h1", sanitize=False)
-            with ui.tabs(on_change=self._changed).props("dense no-caps align=left inline-label") as tabs:
+            with ui.tabs().props("dense no-caps align=left inline-label") as tabs:
                 for name in names:
                     ui.tab(name)
             ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props(
@@ -80,8 +80,8 @@ class Shell:
             for name in names:
                 with ui.tab_panel(name) as panel:
                     self.panels[name] = panel
-        tabs.set_value(start)
         self._see(start)
+        tabs.on_value_change(self._changed)
         ui.timer(TICK_S, self.tick)
 
     def show(self, name: str) -> None:
