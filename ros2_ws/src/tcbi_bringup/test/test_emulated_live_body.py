@@ -64,6 +64,31 @@ def test_without_torque_the_robot_lies_down(body: LiveBody, clock: Clock) -> Non
     assert body.pose()[1][2] < standing - 0.02 and not state.load.any()
 
 
+def test_goals_that_are_written_one_by_one_are_lost_or_taken_as_one_packet(clock: Clock) -> None:
+    body, taken = LiveBody(Specimen.of(3, "lost_commands"), clock=clock), []
+    for k in range(12):
+        goal = 0.02 * (1 + k % 2)
+        for i in range(18):
+            body.write_goal(i, goal, 0.1)
+        clock.now += 0.04
+        body.read()
+        goals = body._physics.servos.goal
+        assert np.ptp(goals) == 0.0
+        taken.append(goals[0] == pytest.approx(goal, abs=1e-3))
+    assert any(taken) and not all(taken)
+
+
+def test_the_voltmeter_shows_a_battery_that_sags(clock: Clock) -> None:
+    volts = {}
+    for hidden in ("none", "battery_sag"):
+        body = LiveBody(Specimen.of(3, hidden), clock=clock)
+        for _ in range(100):
+            clock.now += 0.02
+            state = body.read()
+        volts[hidden] = state.voltage
+    assert volts["battery_sag"] < volts["none"] - 0.1
+
+
 def test_a_machine_that_is_too_slow_makes_the_robot_slow_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
     clock = Clock(look_s=0.01)  # every 4 ms of motion take 10 ms
     body = LiveBody(Specimen.of(3, "none"), clock=clock)

@@ -20,7 +20,7 @@ class HiddenEffect:
 
     Attributes:
       truth: name -> value with its unit in the name, for whoever may open the envelope.
-      age_s: of a reading when it is stamped.
+      polls_behind: turns of the sensors' board that a reading is old when it is stamped.
     """
 
     strong: float
@@ -30,7 +30,7 @@ class HiddenEffect:
         nominal = self.strong if strength == STRENGTHS[0] else self.weak
         self.size = nominal * float(np.exp(rng.normal(0.0, SIZE_SCATTER)))
         self.truth: dict[str, object] = {}
-        self.age_s = 0.0
+        self.polls_behind = 0
 
     def uses(self, hook: str) -> bool:
         """Whether this effect overrides a hook."""
@@ -90,7 +90,7 @@ class Several(HiddenEffect):
         super().__init__(strength, rng)
         self._all = [effect for _, effect in effects]
         self.truth = {name: effect.truth for name, effect in effects}
-        self.age_s = sum(effect.age_s for effect in self._all)
+        self.polls_behind = sum(effect.polls_behind for effect in self._all)
 
     def uses(self, hook: str) -> bool:
         return any(effect.uses(hook) for effect in self._all)

@@ -25,12 +25,11 @@ from tcbi_bringup.emulated_robot.character import Character
 from tcbi_bringup.emulated_robot.circumstances import Circumstances
 from tcbi_bringup.emulated_robot.gear import GearGap
 from tcbi_bringup.emulated_robot.mechanics import Build, Scene
-from tcbi_bringup.emulated_robot.sensors import Encoders, FootSwitches, Imu
+from tcbi_bringup.emulated_robot.sensors import POLL_TICKS, Encoders, FootSwitches, Imu
 from tcbi_bringup.emulated_robot.servos import LOOP_PERIOD_S, STEP, Move, Servos
 
 SUBSTEPS = round(LOOP_PERIOD_S / mechanics.STEP_S)
 PACKET_S = 0.003  # goals sent within this time travel in one packet
-POLL_TICKS = 3  # between two turns of a board that reads its sensors ahead of time
 DROP_HEIGHT = 0.001  # m between the lowest foot and the ground when the robot is let go
 
 
@@ -114,8 +113,8 @@ class Physics:
         self._imu = Imu(np.random.default_rng([specimen.seed, 4]), imu, LOOP_PERIOD_S)
         self._switches = FootSwitches(drawing.foot_threshold * character.switch_factor, switches, LOOP_PERIOD_S)
         self._packet = (-1.0, 0.0)  # s, when the latest packet was sent and when it comes in, if ever
-        ticks = self._effect.age_s / LOOP_PERIOD_S - (POLL_TICKS - 1) / 2  # that the board's queue holds back
-        self._polled: deque[Sample] = deque(maxlen=1 + round(ticks / POLL_TICKS) if self._effect.age_s else 0)
+        behind = self._effect.polls_behind
+        self._polled: deque[Sample] = deque(maxlen=behind + 1 if behind else 0)
         self._clock = 0  # ticks since the robot was switched on
         self._torque = np.zeros(characters.JOINT_COUNT)
         self._encoder = np.zeros(characters.JOINT_COUNT)

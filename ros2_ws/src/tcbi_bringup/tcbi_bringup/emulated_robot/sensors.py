@@ -11,6 +11,7 @@ import numpy as np
 from tcbi_bringup.emulated_robot.servos import STEP
 
 GRAVITY = 9.81
+POLL_TICKS = 3  # between two turns of a board that reads its sensors ahead of time
 
 
 class Encoders:

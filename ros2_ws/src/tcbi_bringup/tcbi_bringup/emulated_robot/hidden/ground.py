@@ -53,7 +53,7 @@ class Foam(HiddenEffect):
 class OilyFloor(HiddenEffect):
     """Oil on one side of a line through the start: each foot's grip falls over a finger's breadth beyond it."""
 
-    strong, weak = 0.25, 0.55  # of the friction elsewhere
+    strong, weak = 0.50, 0.80  # of the friction elsewhere
 
     EDGE = 0.02  # m, over which the grip falls
 

@@ -131,7 +131,7 @@ class BackEmf(MotorEffect):
     The current follows the voltage through the winding's inductance.
     """
 
-    strong, weak = 0.45, 0.28  # s/rad, one over the speed without load
+    strong, weak = 0.40, 0.28  # s/rad, one over the speed without load
 
     WINDING_S = 5e-4  # inductance over resistance
 

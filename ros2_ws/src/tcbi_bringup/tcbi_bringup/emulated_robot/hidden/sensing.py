@@ -7,17 +7,20 @@ import numpy as np
 from tcbi_bringup.emulated_robot.drawing import Drawing
 from tcbi_bringup.emulated_robot.hidden_effect import HiddenEffect
 from tcbi_bringup.emulated_robot.mechanics import Build
+from tcbi_bringup.emulated_robot.sensors import POLL_TICKS
+from tcbi_bringup.emulated_robot.servos import LOOP_PERIOD_S
 
 
 class StaleReadings(HiddenEffect):
     """A board that polls its sensors into a queue: what is sent and stamped now was read some turns ago."""
 
-    strong, weak = 0.045, 0.015  # s
+    strong, weak = 0.025, 0.008  # s
 
     def __init__(self, strength: str, rng: np.random.Generator):
         super().__init__(strength, rng)
-        self.age_s = self.size
-        self.truth = {"latency_s": self.size}
+        waiting = (POLL_TICKS - 1) / 2  # for the next turn, on average
+        self.polls_behind = max(round((self.size / LOOP_PERIOD_S - waiting) / POLL_TICKS), 1)
+        self.truth = {"latency_s": (self.polls_behind * POLL_TICKS + waiting) * LOOP_PERIOD_S}
 
 
 class AskewBoard(HiddenEffect):
