@@ -1,7 +1,6 @@
 """The hidden-effect benchmark counts what a diagnosis says as what it is; its robots are those asked for."""
 
 import argparse
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,9 @@ PAIR = {"backlash": {"gap_rad": 0.05}, "payload": {"mass_kg": 0.2}}
 
 
 @pytest.fixture(autouse=True)
-def beside_the_scripts(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def beside_the_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
     """What runs a script of the folder, too: its modules are found from there."""
     monkeypatch.syspath_prepend(str(BENCH))
-    return
 
 
 def result(hidden: str, verdict: str, *uses: str, effect: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:

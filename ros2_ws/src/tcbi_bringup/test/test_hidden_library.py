@@ -72,6 +72,7 @@ def test_sticking_gears_hold_more_at_rest_than_at_speed_and_more_under_load() ->
             rubbing.drive(np.full(18, load), np.zeros(18))
             for _ in range(2000):
                 torque = rubbing.resist(np.full(18, speed), 1e-3)
+            assert torque is not None
             torques[load, speed] = -float(torque[0])
     static, share = truth("stribeck_friction")["static_torque_n_m"], truth("stribeck_friction")["load_share"]
     assert torques[0.0, 0.05] == pytest.approx(static, rel=0.05) and torques[0.0, 2.0] < 0.01 * static
@@ -85,6 +86,7 @@ def test_lossy_gears_take_their_share_of_the_motors_torque_either_way() -> None:
         for _ in range(500):
             gears.drive(np.full(18, 0.2), np.zeros(18))
             torque = gears.resist(np.full(18, speed), 1e-3)
+        assert torque is not None
         assert torque[0] == pytest.approx(-np.sign(speed) * 0.2 * truth("load_friction")["lost_share"], rel=0.02)
 
 
@@ -93,6 +95,7 @@ def test_a_heavy_rotor_is_slower_to_start_under_the_same_torque() -> None:
     choose("rotor_inertia", "strong", SEED)[2].attach(build, DRAWING)
     gear, speed = GearGap.of(build, 1), 0.0
     leg = np.zeros(1)
+    assert gear is not None
     for _ in range(200):  # one joint without damping of its own, its leg's inertia that of the drawing
         push = gear.push(np.full(1, 0.1), leg, np.full(1, speed), 1e-4)
         speed += 1e-4 * float(push[0]) / build.joint_armature
@@ -211,7 +214,7 @@ def test_an_askew_board_shows_a_lean_that_is_not_there() -> None:
 def test_a_biased_gyroscope_turns_at_rest_while_the_attitude_stands() -> None:
     body, told = standing("gyro_bias"), truth("gyro_bias")
     rates = np.mean([body.read().angular_velocity for _ in range(400)], axis=0)
-    assert rates == pytest.approx([told[f"{a}_rad_s"] for a in "xyz"], abs=0.12 * np.linalg.norm(rates) + 2e-3)
+    assert rates == pytest.approx([told[f"{a}_rad_s"] for a in "xyz"], abs=0.12 * float(np.linalg.norm(rates)) + 2e-3)
     assert body.read().attitude == pytest.approx(bare().read().attitude, abs=2e-3)
 
 
