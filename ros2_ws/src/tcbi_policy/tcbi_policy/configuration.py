@@ -97,7 +97,6 @@ PRESETS: dict[str, dict[str, TrainingConfig]] = {
             "forward",
             steps=110_400,
             environments=32,
-            batch_size=160,
             imitate="tripod",
             warm_up=1,
             noise=0.15,
