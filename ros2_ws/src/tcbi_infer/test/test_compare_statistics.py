@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from tcbi_infer.compare.guards import check_recording, guard
-from tcbi_infer.compare.locate import locate
 from tcbi_infer.compare.noise import autocorrelation_time, from_fast_changes, noise_floor
 from tcbi_infer.compare.replicates import Replicates, find_replicates, split
 from tcbi_infer.compare.signals import JOINT, Layout, reference, window_mean
 from tcbi_sim.measurement import Commands, Measurement, Scenario
-from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
 
 TIME = np.arange(1, 251) / 50.0
@@ -23,8 +21,9 @@ def recording(
     lag: float = 0.06,
     policy: str = "gait:sine",
     jitter: float = 0.0,
+    gain: float = 0.97,
 ) -> Measurement:
-    """A hexapod whose joints follow their commands after a lag."""
+    """A hexapod whose joints follow their commands after a lag, all but a little of the way."""
     rig = load_rig("hexapod")
     t = np.arange(25) * 0.2
     if target is None:
@@ -43,7 +42,7 @@ def recording(
         time=TIME,
         joint_position=np.zeros((250, 18)),
     )
-    return dataclasses.replace(m, joint_position=reference(m, TIME - lag))
+    return dataclasses.replace(m, joint_position=gain * reference(m, TIME - lag))
 
 
 def test_jitter_of_the_command_stream_does_not_hide_a_replicate():
@@ -134,11 +133,11 @@ def test_wiring_and_unit_mistakes_are_named(change, words):
 
 
 def test_an_echo_of_the_commands_is_named():
-    assert any("echoes commands" in f for f in check_recording(recording(lag=0.0)))
+    assert any("echoes commands" in f for f in check_recording(recording(lag=0.0, gain=1.0)))
 
 
 def test_joints_that_lead_their_commands_point_at_the_clocks():
-    assert any("lead their commands" in f for f in check_recording(recording(lag=-0.15)))
+    assert any("lead their commands" in f for f in guard([recording(lag=-0.15)]))
 
 
 def test_a_gap_in_the_samples_is_named():
@@ -146,29 +145,6 @@ def test_a_gap_in_the_samples_is_named():
     keep = (m.time < 2) | (m.time > 3)
     cut = dataclasses.replace(m, time=m.time[keep], joint_position=m.joint_position[keep])
     assert "No samples from 1.98 to 3.02 s: left out of every error" in check_recording(cut)
-
-
-def located(lag: float, joint: int, rig: Rig):
-    m = recording()
-    layout = Layout.of([m])
-    predicted = layout.extract(m)[None]
-    late = layout.extract(dataclasses.replace(m, joint_position=reference(m, TIME - 0.06 - lag)))[None]
-    measured = predicted.copy()
-    measured[..., joint] = late[..., joint]
-    measured += np.random.default_rng(0).normal(0, 0.05, measured.shape)
-    floor = np.full(len(layout.channels), 0.05)
-    return locate(rig, layout, [m], TIME, measured - predicted, predicted, floor)
-
-
-def test_a_joint_that_lags_is_found_first_with_its_lag():
-    rig = load_rig("hexapod")
-    first = located(0.08, rig.index("rm_tibia"), rig)[0]
-    assert first.channels == ("rm_tibia",)
-    assert first.statement.startswith("The joint rm_tibia lags the prediction by 8") or "by 7" in first.statement
-
-
-def test_nothing_is_located_where_the_model_is_right():
-    assert located(0.0, 3, load_rig("hexapod")) == []
 
 
 def test_layout_leaves_out_what_was_not_measured():

@@ -9,19 +9,29 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.compare.signals import reference
+from tcbi_infer.compare.clocks import LONGEST, MOVES, Following, aligned, clock_rate, correlation
+from tcbi_infer.compare.imu_guards import check_imu
 from tcbi_infer.gaps import unusable
 from tcbi_sim.measurement import Measurement
 
-MOVES = np.radians(2.0)  # rad, standard deviation of a command that counts as motion
 SWAPPED = 0.7  # correlation of a joint with the command that it is said to follow; less comes about by chance
+MIRRORED = -0.6  # correlation of a joint with its own command
+SAME = 1e-3  # rad within which positions only echo commands; no servo tracks a moving command so closely
+ECHO_LAGS = np.arange(0.0, 0.105, 0.005)  # s
+UNITS = {180 / np.pi: "degrees", 4096 / (2 * np.pi): "raw encoder counts", 1023 / np.radians(300): "raw encoder counts"}
+OFF_UNIT = 5.0  # times its command that a joint in rad never moves
+HELD = 0.4  # share of repeated samples in motion that is no chance
+STEPS = 5.0  # encoder steps between two samples in which a value must change
 
 
 def guard(measurements: Sequence[Measurement]) -> list[str]:
     """Findings about the recordings and what their reader had to leave out, each told once for several rollouts."""
     findings: dict[str, list[str]] = {}
-    for m in measurements:
-        for finding in (*m.notes, *check_recording(m)):
+    followings = [Following(m) for m in measurements]
+    rate = clock_rate(followings)
+    clocks = aligned(measurements, followings).findings
+    for m, following, artefacts in zip(measurements, followings, clocks, strict=True):
+        for finding in dict.fromkeys((*m.notes, *check_recording(m, following), *_rate(rate), *artefacts)):
             findings.setdefault(finding, []).append(m.rollout_id)
     sentences = []
     for finding, rollouts in findings.items():
@@ -33,15 +43,18 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
     return sentences
 
 
-def check_recording(m: Measurement) -> list[str]:
-    """Findings about one recording, without any model."""
+def check_recording(m: Measurement, following: Following | None = None) -> list[str]:
+    """Findings about one recording, without any model; what `aligned` takes out is its to tell."""
+    following = following or Following(m)
     return [
         *_clock(m),
         *unusable(m, m.time).sentences,
-        *_units(m),
-        *_echo(m),
-        *_wiring(m),
-        *_lag(m),
+        *_held(m),
+        *_units(m, following),
+        *_echo(m, following),
+        *_wiring(m, following),
+        *_lag(following),
+        *check_imu(m),
     ]
 
 
@@ -62,8 +75,36 @@ def _clock(m: Measurement) -> list[str]:
     return findings
 
 
-def _units(m: Measurement) -> list[str]:
+def _held(m: Measurement) -> list[str]:
+    """A fast stream that repeats slow readings."""
+    change = np.abs(np.diff(m.joint_position, axis=0))
+    if len(m.time) < 20 or not change.any():
+        return []
+    step = float(change[change > 1e-9].min())
+    fast = max(STEPS * step, 0.1 * float(np.quantile(change.max(axis=1), 0.99)))
+    width = 10
+    spans = [slice(k, k + width) for k in range(0, len(change) - width, width)]
+    moving = [s for s in spans if np.abs(m.joint_position[s.stop] - m.joint_position[s.start]).max() > width * fast / 2]
+    if len(moving) < 3:
+        return []
+    repeated = float(np.mean([np.mean(~(change[s] > 1e-9).any(axis=1)) for s in moving]))
+    if repeated < HELD:
+        return []
+    rate = 1.0 / float(np.median(np.diff(m.time)))
+    changes = rate * (1 - repeated)
+    return [f"The stream claims {rate:.0f} Hz but its joint positions change only {changes:.0f} times a second"]
+
+
+def _units(m: Measurement, following: Following) -> list[str]:
     largest = float(np.nanmax(np.abs(m.joint_position)))
+    if following.told:
+        asked, seen = following.asked(_found(following)), m.joint_position[:, following.joints]
+        slope = float(np.nanmedian(following.gain)) if np.isfinite(following.gain).any() else 1.0
+        if slope > OFF_UNIT:
+            unit = next((name for k, name in UNITS.items() if 0.75 < slope / k < 1.25), "another unit than radians")
+            return [f"Joint positions move {slope:.0f} times as far as their commands: these look like {unit}"]
+        if slope < 1 / 30 and np.median(np.abs(correlation(asked, seen))) > SWAPPED:
+            return [f"Commands move {1 / slope:.0f} times as far as the joints: these look like degrees, not radians"]
     if largest > 30 * np.pi:
         return ["Joint positions reach hundreds of radians: these look like raw encoder counts or degrees"]
     if largest > 4 * np.pi:
@@ -71,73 +112,66 @@ def _units(m: Measurement) -> list[str]:
     return []
 
 
-def _echo(m: Measurement) -> list[str]:
+def _found(following: Following) -> float:
+    lag = following.lag
+    return lag if np.isfinite(lag) else 0.0
+
+
+def _echo(m: Measurement, following: Following) -> list[str]:
+    """Positions that are only the commands again: as ramps or as steps, perhaps some samples late."""
     if not m.commands.time.size:
         return ["There are no commands in the recording, so nothing can be replayed"]
-    asked = reference(m, m.time)
-    if np.max(np.std(asked, axis=0)) > MOVES and np.nanquantile(np.abs(asked - m.joint_position), 0.9) < 1e-3:
+    if not following.told:
+        return []
+    seen = m.joint_position[:, following.joints]
+    best = np.full(len(following.joints), np.inf)
+    for lag in ECHO_LAGS:
+        held = m.commands.target[np.clip(np.searchsorted(m.commands.time, m.time - lag + 1e-6) - 1, 0, None)]
+        for asked in (following.asked(lag), held[:, following.joints]):
+            best = np.minimum(best, np.quantile(np.abs(asked - seen), 0.9, axis=0))
+    echoes = [m.joint_names[j] for j, far in zip(following.joints, best, strict=True) if far < SAME]
+    if not echoes:
+        return []
+    if len(echoes) == len(following.joints):
         return ["Joint positions are identical to the commands: the recording echoes commands, it measures nothing"]
-    return []
+    return [f"The positions of {', '.join(echoes)} are identical to their commands: these joints are not measured"]
 
 
-def _wiring(m: Measurement) -> list[str]:
+def _wiring(m: Measurement, following: Following) -> list[str]:
     """Mirrored joints move against their command; swapped ones follow each other's."""
-    if not m.commands.time.size:
+    if not following.told:
         return []
-    asked = reference(m, m.time)
-    moving = np.nonzero((np.std(asked, axis=0) > MOVES) & (np.std(m.joint_position, axis=0) > MOVES / 2))[0]
-    if not len(moving):
+    asked, seen = following.asked(_found(following)), m.joint_position[:, following.joints]
+    follows = np.std(seen, axis=0) > MOVES / 2
+    if not follows.any():
         return []
-    correlation = _correlation(asked[:, moving], m.joint_position[:, moving])
-    names = [m.joint_names[j] for j in moving]
+    names = [m.joint_names[j] for j in following.joints[follows]]
+    table = np.corrcoef(asked[:, follows].T, seen[:, follows].T).reshape(2 * len(names), -1)[: len(names), len(names) :]
+    own = np.diag(table)
     findings = [
         f"{name} moves against its command: its sign may be mirrored"
-        for k, name in enumerate(names)
-        if correlation[k, k] < -0.6
+        for name, r in zip(names, own, strict=True)
+        if r < MIRRORED
     ]
-    own = np.diag(correlation)
     findings += [
         f"{names[a]} and {names[b]} follow each other's commands: they may be swapped"
-        for a, b in itertools.combinations(range(len(moving)), 2)
-        if min(correlation[a, b], correlation[b, a]) > max(SWAPPED, max(own[a], own[b]) + 0.3)
+        for a, b in itertools.combinations(range(len(names)), 2)
+        if min(table[a, b], table[b, a]) > max(SWAPPED, max(own[a], own[b]) + 0.3)
     ]
     return findings
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n, n) correlation of each column of `a` with each of `b`."""
-    a = (a - a.mean(axis=0)) / a.std(axis=0)
-    b = (b - b.mean(axis=0)) / b.std(axis=0)
-    return a.T @ b / len(a)
-
-
-def common_lag(m: Measurement, reach: float = 0.5, step: float = 0.01) -> float:
-    """The lag (s) at which all joints together follow their commands best; NaN if the motion does not tell."""
-    asked_std = np.std(reference(m, m.time), axis=0)
-    moving = asked_std > MOVES
-    if not moving.any():
-        return float("nan")
-    lags = np.arange(-reach, reach + step / 2, step)
-    inside = (m.time > m.time[0] + reach) & (m.time < m.time[-1] - reach)
-    if inside.sum() < 20:
-        return float("nan")
-    target = m.joint_position[inside][:, moving]
-    errors = []
-    for lag in lags:
-        asked = reference(m, m.time[inside] - lag)[:, moving]
-        difference = target - asked
-        errors.append(np.mean((difference - difference.mean(axis=0)) ** 2))
-    best, at_zero = int(np.argmin(errors)), errors[len(lags) // 2]
-    told = at_zero > 4 * errors[best] + 1e-6  # a steady ramp looks the same at any lag
-    return float(lags[best]) if told else float("nan")
-
-
-def _lag(m: Measurement) -> list[str]:
-    if not m.commands.time.size:
-        return []
-    lag = common_lag(m)
-    if lag <= -0.04:
-        return [f"The joints lead their commands by {-1000 * lag:.0f} ms: the streams are stamped by different clocks"]
-    if lag >= 0.45:
+def _lag(following: Following) -> list[str]:
+    if following.lag >= LONGEST:
         return ["The joints follow their commands by half a second or more: check the clocks before blaming the servos"]
     return []
+
+
+def _rate(rate: float) -> list[str]:
+    if rate == 1.0:
+        return []
+    word = "fast" if rate > 1 else "slow"
+    return [
+        f"The sensors' clock runs {100 * abs(rate - 1):.0f} % {word} against that of the commands: the stream's "
+        "rate is not what its stamps say"
+    ]

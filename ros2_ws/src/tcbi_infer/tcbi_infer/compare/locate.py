@@ -1,4 +1,4 @@
-"""Where the error lives: which joints, in which phase of the motion, under which condition; ranked sentences.
+"""Where the error lives: which joints, in which phase or condition, and how they err; ranked sentences.
 
 Everything is computed from the residuals and the commands, for any rig: joints form the groups that the rig names, and
 stance or swing exists where the rig has legs with feet.
@@ -9,12 +9,26 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tcbi_infer.compare.signals import ATTITUDE, JOINT, RATE, Layout, reference
+from tcbi_infer.compare.conditions import conditions, phases
+from tcbi_infer.compare.kinds import OFFSET, SCATTER, kind_of
+from tcbi_infer.compare.signals import ATTITUDE, DEGREE, JOINT, RATE, Layout, reference
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.rig import Rig
 
-REVERSAL_S = 0.15  # s around a change of direction
 FEWEST = 25  # samples that a cell needs
+LEAST_SCORE = 0.02
+LEAST_OVER, LEAST_BEYOND = 1.5, 1.15  # times the noise floor, times the error elsewhere, that are worth a sentence
+MOMENT_S = 1.5  # s, length of a moment
+
+
+@dataclasses.dataclass(frozen=True)
+class Moment:
+    """A stretch of one channel, from sample `first` on; `inside` (span,) is where the phase holds."""
+
+    rollout: int
+    first: int
+    channel: int
+    inside: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,10 +37,13 @@ class Finding:
 
     Attributes:
       statement: a sentence for people, computed from the data.
-      score: share of the whole excess squared error that lies there, beyond the cell's share of the samples, 0..1.
+      score: share of the excess squared error that lies there, beyond the cell's share of the samples, 0..1; what a
+        better finding covers is not counted again.
       channels: names of the channels concerned.
       phase: the phase or condition, "" for all samples.
-      rms: error there, in the channels' unit; `elsewhere` the same outside the cell.
+      rms: error there, in the channels' unit; `elsewhere` the same outside the cell and of better findings.
+      kind: lag, offset, droop, gain, hysteresis or scatter.
+      moment: the stretch that shows it best; None of the body.
     """
 
     statement: str
@@ -36,6 +53,8 @@ class Finding:
     rms: float
     elsewhere: float
     over_floor: float
+    kind: str = SCATTER
+    moment: Moment | None = None
 
 
 def joint_cells(rig: Rig) -> dict[str, tuple[int, ...]]:
@@ -43,59 +62,6 @@ def joint_cells(rig: Rig) -> dict[str, tuple[int, ...]]:
     cells = {name: tuple(rig.index(j) for j in joints) for name, joints in rig.groups.items()}
     cells |= {name: (j,) for j, name in enumerate(rig.joint_names)}
     return {name: joints for name, joints in cells.items() if len(joints) < len(rig.joint_names)}
-
-
-def phases(rig: Rig, measurement: Measurement, time: np.ndarray, speed_limit: float = 0.05) -> dict[str, np.ndarray]:
-    """Boolean masks over samples and joints, by phase of the commanded motion.
-
-    Args:
-      rig: the robot.
-      measurement: the rollout, sampled at `time`.
-      time: (T,) s of the common grid.
-      speed_limit: rad/s below which a joint counts as standing still.
-
-    Returns:
-      phase -> (T, J) bool.
-    """
-    asked = reference(measurement, time)
-    speed = np.gradient(asked, time, axis=0)
-    moving = np.abs(speed) > speed_limit
-    reversal = np.zeros_like(moving)
-    near = max(1, round(REVERSAL_S / float(time[1] - time[0])))
-    for j in range(asked.shape[1]):
-        last = 0.0
-        for t in np.nonzero(moving[:, j])[0]:
-            sign = np.sign(speed[t, j])
-            if last and sign != last:
-                reversal[t : t + near, j] = True
-            last = sign
-    result = {
-        "while standing still": ~moving & ~reversal,
-        "while moving": moving & ~reversal,
-        "just after reversing direction": reversal,
-    }
-    fast = np.abs(speed) > np.quantile(np.abs(speed)[moving], 0.67) if moving.any() else moving
-    result["at high speed"] = fast & moving
-    result.update(_contact_phases(rig, measurement, len(time)))
-    result["in the last third of the rollout"] = np.broadcast_to((time > time[-1] * 2 / 3)[:, None], moving.shape)
-    slope = np.hypot(measurement.scenario.slope_roll, measurement.scenario.slope_pitch)
-    result["on slopes above 5 degrees"] = np.full_like(moving, slope > np.radians(5.0))
-    return result
-
-
-def _contact_phases(rig: Rig, measurement: Measurement, length: int) -> dict[str, np.ndarray]:
-    """Stance and swing of the joints of each leg that has a foot."""
-    if measurement.contact is None or len(measurement.contact) != length:
-        return {}
-    stance = np.zeros((length, len(measurement.joint_names)), bool)
-    swing = np.zeros_like(stance)
-    for f, foot in enumerate(measurement.foot_names):
-        joints = [rig.index(j) for j in rig.legs.get(foot, ())]
-        stance[:, joints] = measurement.contact[:, f, None]
-        swing[:, joints] = ~measurement.contact[:, f, None]
-    if not swing.any():
-        return {}
-    return {"while the foot is on the ground": stance, "while the foot is in the air": swing}
 
 
 def locate(
@@ -106,9 +72,9 @@ def locate(
     residual: np.ndarray,
     predicted: np.ndarray,
     floor: np.ndarray,
-    most: int = 8,
+    most: int = 6,
 ) -> list[Finding]:
-    """Ranked places where the error lives.
+    """Ranked places where the error lives; each covers what those before it have not.
 
     Args:
       rig: the robot.
@@ -120,90 +86,115 @@ def locate(
       floor: (C,) noise floor.
       most: sentences at most.
     """
-    findings = [f for f in _joint_cells(rig, layout, measurements, time, residual, predicted, floor) if f.score > 0.02]
-    findings += _body_findings(layout, residual, floor)
-    findings.sort(key=lambda f: -f.score)
-    return _without_repeats(findings)[:most]
+    joints = _Joints(rig, layout, measurements, time, residual, predicted, floor)
+    findings = [*joints.findings(most), *_body_findings(layout, residual, floor)]
+    return sorted(findings, key=lambda f: -f.score)[:most]
 
 
-def _joint_cells(
-    rig: Rig,
-    layout: Layout,
-    measurements: Sequence[Measurement],
-    time: np.ndarray,
-    residual: np.ndarray,
-    predicted: np.ndarray,
-    floor: np.ndarray,
-) -> Iterator[Finding]:
-    joints = layout.where(JOINT)
-    errors = residual[..., joints]
-    valid = np.isfinite(errors)
-    scaled = np.where(valid, (np.nan_to_num(errors) / floor[joints]) ** 2, 0.0)
-    excess = np.maximum(scaled - 1.0, 0.0) * valid
-    total = excess.sum()
-    if total <= 0:
-        return
-    masks = _stack_phases(rig, measurements, time)
-    velocity = np.gradient(predicted[..., joints], time, axis=1)
-    groups = joint_cells(rig)
-    everything = tuple(range(len(layout.joint_names)))
-    for label, members in {"": everything, **groups}.items():
-        cell_joints = np.zeros(len(layout.joint_names), bool)
-        cell_joints[list(members)] = True
-        for phase, mask in {"": np.ones_like(valid), **masks}.items():
-            cell = mask & cell_joints & valid
-            outside = valid & ~cell
-            if cell.sum() < FEWEST or outside.sum() < FEWEST:
-                continue
-            score = float(excess[cell].sum() / total - cell.sum() / valid.sum())
-            here = float(np.sqrt(np.mean(errors[cell] ** 2)))
-            there = float(np.sqrt(np.mean(errors[outside] ** 2)))
-            over = float(np.sqrt(np.mean(scaled[cell])))
-            if here < 1.15 * there or over < 1.5:
-                continue
-            names = tuple(layout.joint_names[j] for j in members)
-            shape = describe_shape(errors[cell], velocity[cell], plural=len(names) > 1)
-            who = _who(label, names)
-            text = f"{who} {shape} {phase}".strip() + (
-                f": {here:.2f} deg, {over:.1f} times the noise floor, against {there:.2f} deg elsewhere."
-            )
-            yield Finding(text, score, names, phase, here, there, over)
+class _Joints:
+    """The joints' errors, cell by cell."""
 
+    def __init__(
+        self,
+        rig: Rig,
+        layout: Layout,
+        measurements: Sequence[Measurement],
+        time: np.ndarray,
+        residual: np.ndarray,
+        predicted: np.ndarray,
+        floor: np.ndarray,
+    ) -> None:
+        self.index = layout.where(JOINT)
+        self.names, self.span = layout.joint_names, min(max(2, round(MOMENT_S * layout.rate)), len(time))
+        self.error, self.predicted = residual[..., self.index], predicted[..., self.index]
+        self.valid = np.isfinite(self.error)
+        self.scaled = np.where(self.valid, (np.nan_to_num(self.error) / floor[self.index]) ** 2, 0.0)
+        self.excess = np.maximum(self.scaled - 1.0, 0.0) * self.valid
+        self.asked = np.stack([reference(m, time) for m in measurements]) * DEGREE
+        self.velocity = np.gradient(self.predicted, time, axis=1)
+        self.cells = {"": tuple(range(len(self.names))), **joint_cells(rig)}
+        each = [phases(rig, m, time) for m in measurements]
+        none = np.zeros(self.error.shape[1:], bool)
+        self.masks = {"": np.ones(self.error.shape, bool)}
+        for name in dict.fromkeys(name for masks in each for name in masks):
+            self.masks[name] = np.stack([masks.get(name, none) for masks in each])
+        for condition in conditions(layout, measurements, time, predicted):
+            self.masks[condition.high] = condition.upper()
+        self.count = {name: (mask & self.valid).sum(axis=(0, 1)) for name, mask in self.masks.items()}
 
-def _stack_phases(rig: Rig, measurements: Sequence[Measurement], time: np.ndarray) -> dict[str, np.ndarray]:
-    each = [phases(rig, m, time) for m in measurements]
-    names = list(dict.fromkeys(name for masks in each for name in masks))
-    shape = (len(time), len(measurements[0].joint_names))
-    return {name: np.stack([masks.get(name, np.zeros(shape, bool)) for masks in each]) for name in names}
+    def findings(self, most: int) -> Iterator[Finding]:
+        """The best cell, then the best of what it leaves, and so on."""
+        total, left = float(self.excess.sum()), self.excess.copy()
+        seen: set[tuple[str, str]] = set()
+        told, found = np.zeros_like(self.valid), 0
+        while total > 0 and found < most and len(seen) < 4 * most:
+            scores = {cell: score for cell, score in self._scores(left, total) if cell not in seen}
+            best = max(scores, key=lambda cell: scores[cell], default=None)
+            if best is None or scores[best] < LEAST_SCORE:
+                return
+            seen.add(best)
+            finding = self._finding(*best, scores[best], left, told)
+            if finding is not None:
+                yield finding
+                found += 1
+                told |= self._cell(*best)
+                left[told] = 0.0
 
+    def _scores(self, left: np.ndarray, total: float) -> Iterator[tuple[tuple[str, str], float]]:
+        samples, rest = self.valid.sum(), left.sum() / total
+        for phase, mask in self.masks.items():
+            here = np.where(mask, left, 0.0).sum(axis=(0, 1))
+            for label, members in self.cells.items():
+                index = list(members)
+                count = self.count[phase][index].sum()
+                if (label or phase) and FEWEST <= count <= samples - FEWEST:
+                    yield (label, phase), float(here[index].sum() / total - count / samples * rest)
 
-def describe_shape(error: np.ndarray, velocity: np.ndarray, plural: bool = False) -> str:
-    """What the error looks like: a lag, an offset, or neither.
+    def _cell(self, label: str, phase: str) -> np.ndarray:
+        """(R, T, J) bool."""
+        members = np.zeros(len(self.names), bool)
+        members[list(self.cells[label])] = True
+        return self.masks[phase] & members & self.valid
 
-    Args:
-      error: (n,) deg, measured less predicted.
-      velocity: (n,) deg/s, of the prediction.
-      plural: of the verb.
-    """
-    design = np.stack([np.ones_like(velocity), -velocity], axis=-1)
-    coefficients = np.linalg.lstsq(design, error, rcond=None)[0]
-    total = float(np.mean(error**2))
-    offset, lag = float(coefficients[0]), float(coefficients[1])
-    by_offset, by_lag = offset**2 / total, lag**2 * float(np.mean(velocity**2)) / total
-    end = "" if plural else "s"
-    if by_lag > 0.4 and by_lag > by_offset:
-        return f"{'lag' if lag > 0 else 'lead'}{end} the prediction by {1000 * abs(lag):.0f} ms"
-    if by_offset > 0.4:
-        return f"sit{end} {abs(offset):.1f} deg {'above' if offset > 0 else 'below'} the prediction"
-    return f"depart{end} from the prediction"
+    def _finding(self, label: str, phase: str, score: float, left: np.ndarray, told: np.ndarray) -> Finding | None:
+        cell = self._cell(label, phase)
+        outside = self.valid & ~cell & ~told
+        if not outside.any():
+            return None
+        here, there = (float(np.sqrt(np.mean(self.error[part] ** 2))) for part in (cell, outside))
+        over, elsewhere = (float(np.sqrt(np.mean(self.scaled[part]))) for part in (cell, outside))
+        if over < LEAST_OVER or over < LEAST_BEYOND * elsewhere:
+            return None
+        members = list(self.cells[label])
+
+        def rows(values: np.ndarray) -> np.ndarray:
+            return values[..., members].reshape(-1, len(members)).T
+
+        error = np.where(cell, self.error, np.nan)
+        kind = kind_of(rows(error), rows(self.predicted), rows(self.velocity), rows(self.asked))
+        names = tuple(self.names[j] for j in members)
+        statement = (
+            f"{' '.join([_who(label, names), kind.words(len(names) > 1), phase]).strip()}: {here:.2g} deg, {over:.1f} "
+            f"times the noise floor; elsewhere {there:.2g} deg, {elsewhere:.1f} times."
+        )
+        moment = self._moment(cell, left)
+        return Finding(statement, score, names, phase, here, there, over, kind.name, moment)
+
+    def _moment(self, cell: np.ndarray, left: np.ndarray) -> Moment:
+        """The stretch of one joint that holds most of a cell's excess error."""
+        worst = np.where(cell, left, 0.0)
+        total = np.cumsum(np.concatenate([np.zeros_like(worst[:, :1]), worst], axis=1), axis=1)
+        windows = total[:, self.span :] - total[:, : -self.span]
+        r, t, j = (int(i) for i in np.unravel_index(int(np.argmax(windows)), windows.shape))
+        return Moment(r, t, int(self.index[j]), cell[r, t : t + self.span, j])
 
 
 def _who(label: str, names: Sequence[str]) -> str:
     """The subject of a sentence; plural unless it is a single joint."""
     if len(names) == 1:
-        return f"The joint {names[0]}"
+        return names[0]
     if not label:
-        return "All joints together"
+        return "All joints"
     return f"The joints of the {label}" if label.endswith("leg") else f"The {label}"
 
 
@@ -229,31 +220,13 @@ def _body_findings(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> l
         )
         score = float(min(1.0, 1.0 - over_joint**2 / over**2))
         names = tuple(layout.channels[i].name for i in index)
-        findings.append(Finding(text, score, names, "", rms, float("nan"), over))
+        shape = OFFSET if constant > 0.6 else SCATTER
+        findings.append(Finding(text, score, names, "", rms, float("nan"), over, shape))
     return findings
 
 
 def _over(residual: np.ndarray, floor: np.ndarray, index: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean((residual[..., index] / floor[index]) ** 2)))
-
-
-def _without_repeats(findings: list[Finding]) -> list[Finding]:
-    """Drops sentences that only repeat a better one about the same joints or the same phase."""
-    kept: list[Finding] = []
-    for finding in findings:
-        similar = [
-            k
-            for k in kept
-            if (k.channels == finding.channels and (k.phase == finding.phase or not k.phase or not finding.phase))
-            or (
-                k.phase == finding.phase
-                and set(finding.channels) < set(k.channels)
-                and finding.over_floor < 1.3 * k.over_floor
-            )
-        ]
-        if not similar:
-            kept.append(finding)
-    return kept
 
 
 def worst_moments(

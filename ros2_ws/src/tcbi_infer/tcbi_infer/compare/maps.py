@@ -1,4 +1,4 @@
-"""Where the error lives, as maps: joint x phase of the motion, and error against load, speed, slope and time.
+"""Where the error lives, as maps: joint x phase of the motion, and error against load, speed, slope and more.
 
 All errors are root mean squares over the noise floor, so that 1 is as good as any model can be.
 """
@@ -8,8 +8,9 @@ import dataclasses
 import numpy as np
 
 from tcbi_infer.compare.comparison import Comparison
-from tcbi_infer.compare.locate import FEWEST, phases
-from tcbi_infer.compare.signals import DEGREE, JOINT, reference
+from tcbi_infer.compare.conditions import conditions, phases
+from tcbi_infer.compare.locate import FEWEST
+from tcbi_infer.compare.signals import JOINT
 from tcbi_sim.rigs import load_rig
 
 BINS = 8
@@ -67,24 +68,11 @@ def heat(comparison: Comparison) -> Heat:
 
 
 def curves(comparison: Comparison) -> list[Curve]:
-    """Error against load, speed, slope and time; a condition that never varies is left out.
-
-    Load is how far the commanded position is ahead of the measured one, which a position servo turns into torque.
-    """
-    scaled = _scaled(comparison)
-    replay = comparison.replay
-    asked = np.stack([reference(m, replay.time) for m in replay.measurements])
-    measured = replay.measured[..., replay.layout.where(JOINT)]
-    speed = np.abs(np.gradient(asked, replay.time, axis=1)) * DEGREE
-    slope = [np.hypot(m.scenario.slope_roll, m.scenario.slope_pitch) * DEGREE for m in replay.measurements]
-    conditions = {
-        ("load: command ahead of position", "deg"): np.abs(asked * DEGREE - measured),
-        ("commanded speed", "deg/s"): speed,
-        ("slope", "deg"): np.broadcast_to(np.array(slope)[:, None, None], scaled.shape),
-        ("time in the rollout", "s"): np.broadcast_to(replay.time[None, :, None], scaled.shape),
-    }
-    found = [_curve(name, unit, values, scaled) for (name, unit), values in conditions.items()]
-    return [curve for curve in found if curve is not None]
+    """Error against load, speed, command size, slope, time, …; a condition that never varies is left out."""
+    replay, scaled = comparison.replay, _scaled(comparison)
+    found = conditions(replay.layout, replay.measurements, replay.time, comparison.predicted)
+    drawn = [_curve(c.name, c.unit, c.values, scaled) for c in found]
+    return [curve for curve in drawn if curve is not None]
 
 
 def _curve(condition: str, unit: str, values: np.ndarray, scaled: np.ndarray) -> Curve | None:

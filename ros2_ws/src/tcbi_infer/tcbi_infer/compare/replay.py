@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tcbi_infer.compare.clocks import aligned
 from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
 from tcbi_infer.compare.replicates import Replicates, find_replicates
 from tcbi_infer.compare.signals import Layout
@@ -41,7 +42,7 @@ class Replay:
 
     @staticmethod
     def of(model: Model, measurements: Sequence[Measurement], rate: float | None = None) -> "Replay":
-        """Prepares rollouts for comparison with a model.
+        """Prepares rollouts for comparison with a model; lags that only the clocks can have are taken out.
 
         Raises:
           NothingToCompareError: there are no usable rollouts.
@@ -54,6 +55,7 @@ class Replay:
         for m in usable:
             if m.rig != model.rig or m.joint_names != rig.joint_names:
                 raise WrongRigError(model.version, model.rig, m.rig, m.joint_names)
+        usable = list(aligned(usable).measurements)
         rate = rate or rig.rate
         layout = Layout.of(usable, rate)
         ends = [min(m.scenario.duration, float(m.time[-1])) for m in usable]

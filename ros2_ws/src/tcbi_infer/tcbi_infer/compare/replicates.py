@@ -7,6 +7,7 @@ a split.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ class Split:
 
 def same_scenario(a: Scenario, b: Scenario) -> bool:
     """Whether two rollouts took place in the same surroundings, from the same start."""
-    start = {"initial_joint_position": None, "initial_joint_velocity": None}
+    start: dict[str, Any] = {"initial_joint_position": None, "initial_joint_velocity": None}
     plain = [dataclasses.replace(s, seed=0, duration=0.0, **start) for s in (a, b)]
     starts = [np.zeros(1) if s.initial_joint_position is None else np.array(s.initial_joint_position) for s in (a, b)]
     return plain[0] == plain[1] and bool(np.all(np.abs(starts[0] - starts[1]) < SAME_TARGET))

@@ -13,7 +13,8 @@ from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.compare.noise import from_fast_changes
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
-from tcbi_policy.reward import WEIGHTS, inclination, progress, step_rewards
+from tcbi_policy.errors import RewardError
+from tcbi_policy.reward import inclination, progress, step_rewards
 from tcbi_sim.engine import SimulatedRollouts
 from tcbi_sim.measurement import Commands, Scenario
 
@@ -113,15 +114,17 @@ def _rewards(
     time: np.ndarray, scenario: Scenario, commands: Commands, attitude: np.ndarray, position: np.ndarray | None
 ) -> np.ndarray | None:
     """(..., K) of each control step that ended; None where the task has no reward or needs what is missing."""
-    weights = WEIGHTS.get(scenario.task)
-    if weights is None or (weights.distance and position is None) or not len(commands.time):
+    if not len(commands.time):
         return None
     ticks = np.append(commands.time, commands.time[-1] + CONTROL_PERIOD_S)
     rows = np.clip(np.searchsorted(time, ticks + 1e-6, "right") - 1, 0, len(time) - 1)
     start = scenario.initial_joint_position
     before: np.ndarray | float = 0.0 if start is None else np.asarray(start, float)
     moved = None if position is None else progress(position, scenario.initial_yaw)[..., rows]
-    reward = step_rewards(scenario.task, attitude[..., rows, :], moved, commands.target, before)
+    try:
+        reward = step_rewards(scenario.task, attitude[..., rows, :], moved, commands.target, before)
+    except RewardError:  # the task has none, or needs a position
+        return None
     return np.where(ticks[1:] < time[-1] + 0.5 * CONTROL_PERIOD_S, reward, np.nan)
 
 

@@ -1,0 +1,131 @@
+"""Faults planted in what the emulated robot recorded are named; a clean recording raises no finding."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tcbi_bringup.emulated_robot.as_measurement import measure
+from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
+from tcbi_infer.collection import Request, scenario_of
+from tcbi_infer.compare.clocks import Following, aligned
+from tcbi_infer.compare.guards import guard
+from tcbi_policy.gaits import Gait
+from tcbi_sim.measurement import Measurement
+
+LATENCY = "command_latency"
+
+
+def recorded(hidden: str) -> list[Measurement]:
+    """Two motions of a robot, each twice."""
+    robot = EmulatedRobot(511, hidden, "strong")
+    rollouts = []
+    for i, gait in enumerate(("sinus", "dither")):
+        request = Request("balance", 1, i, slope_roll=(0.1,), slope_pitch=(0.0,), duration_s=4.0)
+        for trial in (0, 1):
+            m = measure(robot, scenario_of(request, 0), Gait(gait), trial=2 * i + trial)
+            rollouts.append(dataclasses.replace(m, rollout_id=f"{gait}-{trial}"))
+    return rollouts
+
+
+@pytest.fixture(scope="module")
+def clean() -> list[Measurement]:
+    return recorded("none")
+
+
+def late(m: Measurement, by: float) -> Measurement:
+    """The same rollout stamped `by` seconds later than it was measured."""
+    return dataclasses.replace(m, time=m.time + by)
+
+
+def with_joints(m: Measurement, joints: np.ndarray) -> Measurement:
+    return dataclasses.replace(m, joint_position=joints)
+
+
+def swapped(m: Measurement, a: int, b: int) -> Measurement:
+    order = np.arange(18)
+    order[[a, b]] = b, a
+    return with_joints(m, m.joint_position[:, order])
+
+
+def held(m: Measurement, every: int) -> Measurement:
+    """Readings that come only every so many samples, at the old rate."""
+    rows = np.arange(len(m.time)) // every * every
+    return with_joints(m, m.joint_position[rows])
+
+
+def echo(m: Measurement, joints: slice = slice(None)) -> Measurement:
+    copy = m.joint_position.copy()
+    rows = np.clip(np.searchsorted(m.commands.time, m.time + 1e-6) - 1, 0, None)
+    copy[:, joints] = m.commands.target[rows][:, joints]
+    return with_joints(m, copy)
+
+
+def gyro(m: Measurement, change) -> Measurement:
+    return dataclasses.replace(m, angular_velocity=change(m.angular_velocity))
+
+
+SIGN = np.where(np.arange(18) == 4, -1.0, 1.0)
+FAULTS = {
+    "the commands' clock is late": (lambda m: late(m, -0.15), "lead their commands"),
+    "the sensors' clock is far behind": (lambda m: late(m, 0.6), "half a second"),
+    "another epoch": (lambda m: late(m, 3.0), "more than 1 s away from the rollout's begin"),
+    "the sensors' clock runs fast": (
+        lambda m: dataclasses.replace(m, time=m.time * 1.06), "% fast against that of the commands"),
+    "slow readings in a fast stream": (lambda m: held(m, 3), "change only 17 times a second"),
+    "bursts": (
+        lambda m: dataclasses.replace(m, time=m.time - 0.018 * (np.arange(len(m.time)) % 3)), "but delivers"),
+    "mirrored joint": (lambda m: with_joints(m, m.joint_position * SIGN), "lm_femur moves against its command"),
+    "swapped joints": (lambda m: swapped(m, 0, 8), "lf_coxa and lr_tibia follow each other's commands"),
+    "encoder counts": (lambda m: with_joints(m, 2048 + m.joint_position * 651.9), "raw encoder counts"),
+    "centred encoder counts": (lambda m: with_joints(m, m.joint_position * 651.9), "raw encoder counts"),
+    "degrees": (lambda m: with_joints(m, np.degrees(m.joint_position)), "look like degrees"),
+    "echo": (echo, "identical to the commands"),
+    "echo of one leg": (lambda m: echo(m, slice(3, 6)), "lm_coxa, lm_femur, lm_tibia are identical to their commands"),
+    "gyro in degrees": (lambda m: gyro(m, np.degrees), "degrees a second"),
+    "gyro upside down": (lambda m: gyro(m, lambda w: w * [1, -1, -1]), "gyro's y axis turns against the attitude"),
+    "accelerometer in g": (
+        lambda m: dataclasses.replace(m, linear_acceleration=m.linear_acceleration / 9.81), "multiples of gravity"),
+}  # fmt: skip
+
+
+def test_clean_recordings_raise_no_finding(clean):
+    assert guard(clean) == []
+
+
+def test_a_robot_with_a_latency_is_no_fault_of_the_recording():
+    slow = recorded(LATENCY)
+    assert guard(slow) == [] and max(Following(m).lag for m in slow) > 0.06
+    assert all(a is b for a, b in zip(aligned(slow).measurements, slow, strict=True))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_named(clean, fault):
+    plant, words = FAULTS[fault]
+    findings = guard([plant(m) for m in clean])
+    assert any(words in finding for finding in findings), findings
+
+
+def test_a_repeat_that_is_late_as_a_whole_is_set_right(clean):
+    broken = [clean[0], late(clean[1], 0.08), *clean[2:]]
+    (finding,) = guard(broken)
+    assert finding.startswith("All signals come 80 ms later than when the same commands were repeated")
+    assert finding.endswith("(sinus-1).")
+    put_right = aligned(broken).measurements
+    assert np.abs(put_right[1].time - clean[1].time).max() < 0.011
+    assert all(a is b for a, b in zip(put_right[2:], clean[2:], strict=True))
+
+
+def test_a_clock_that_is_early_is_set_by_the_rollouts_beside_it(clean):
+    put_right = aligned([*clean[:3], late(clean[3], -0.2)]).measurements[3]
+    assert np.abs(put_right.time - clean[3].time).max() < 0.03
+
+
+@pytest.mark.parametrize("joints", [[7], [1, 4, 7, 10, 13, 16]])
+def test_a_latency_of_some_joints_is_an_effect_and_stays(clean, joints):
+    m = clean[1]
+    delayed = m.joint_position.copy()
+    delayed[4:, joints] = m.joint_position[:-4, joints]
+    rollouts = [clean[0], with_joints(m, delayed), *clean[2:]]
+    assert guard(rollouts) == []
+    assert aligned(rollouts).measurements[1] is rollouts[1]

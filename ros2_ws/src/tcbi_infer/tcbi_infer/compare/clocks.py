@@ -1,0 +1,236 @@
+"""Lags and rates of the clocks behind a recording, told apart from latencies of the robot where that can be done.
+
+A joint follows its command after some latency, and so does a whole robot: a lag that all signals share, in all
+rollouts, may be either. An artefact of the clocks it is for certain where it is negative (nothing moves before it is
+told to), or where one rollout has it and its repeat has not (a robot's latency does not come and go). Those are taken
+out. A lag of some joints alone is never touched.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from tcbi_infer.compare.replicates import find_replicates
+from tcbi_infer.compare.signals import Layout, reference
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.rigs import load_rig, rig_names
+
+MOVES = np.radians(2.0)  # rad, standard deviation of a command that counts as motion
+STEP, COARSE, REACH = 0.005, 0.02, 1.0  # s, of the lags tried
+BETWEEN_REACH = 0.3  # s, of the lags tried between repeats
+MOST_JOINTS = 6  # that a lag or rate is read from
+LEADS, LONGEST = -0.04, 0.45  # s; less is impossible for a robot, more is no servo's latency
+NEARLY = 1.15  # times what the best lag misses: lags that explain a slow motion as well
+BETWEEN = 0.03  # s by which repeats must differ in lag for a finding
+AGREE = 0.015  # s within which signals share a lag
+FOLLOWS = 0.3  # share of a motion's variance that a joint may owe to other things than its command
+ALIAS = 2.0  # by which an impossible lag must beat every possible one
+SHARPER = 3.0  # by which the best lag must beat a typical one; a steady ramp looks the same at any
+FASTEST, LEAST_RATE = 0.25, 0.029  # of a clock's rate, beyond 1; less is found by chance in a few seconds
+WELL = 0.02  # share missed below which no other rate is looked for
+RATE_GAIN = 1.3  # by which the right rate of the clock must leave more unexplained than another
+SURE_GAIN, SAME_RATE = 3.0, 0.04  # the same in a single rollout; how far rollouts may be apart
+DRIFT = 0.12  # s that another rate must make over a rollout; a lag that changes with speed makes less
+
+
+@dataclasses.dataclass(frozen=True)
+class Aligned:
+    """Rollouts whose clocks' artefacts are taken out, and what was found in each."""
+
+    measurements: tuple[Measurement, ...]
+    findings: tuple[tuple[str, ...], ...]
+
+
+class Following:
+    """How the joints of a rollout follow their commands, at any lag and any rate of the clock."""
+
+    def __init__(self, m: Measurement) -> None:
+        self.measurement, self.told = m, False
+        if not len(m.commands.time) or len(m.time) < 20 or by_torque(m):
+            return
+        self._begin = m.time[0] - REACH
+        grid = np.arange(self._begin, m.time[-1] + REACH + STEP, STEP)
+        asked = reference(m, grid)
+        moving = (np.std(asked, axis=0) > MOVES) & (np.std(m.joint_position, axis=0) > 1e-6)
+        self.joints = np.nonzero(moving)[0]
+        self.told = bool(len(self.joints))
+        self._asked, self._seen = asked[:, moving], m.joint_position[:, moving]
+        self._most = np.argsort(-np.std(self._asked, axis=0))[:MOST_JOINTS]
+
+    def asked(self, lag: float = 0.0, rate: float = 1.0) -> np.ndarray:
+        """(T, moving joints) rad asked at the samples' times as a clock of this lag (s) and rate would have them."""
+        m = self.measurement
+        at = m.time[0] + (m.time - m.time[0]) * rate - lag
+        index = np.round((at - self._begin) / STEP).astype(int)
+        return self._asked[np.clip(index, 0, len(self._asked) - 1)]
+
+    def missed(self, lag: float = 0.0, rate: float = 1.0) -> float:
+        """Share of the variance of the joints that move most, which their commands do not explain, at any gain."""
+        asked, seen = self.asked(lag, rate)[:, self._most], self._seen[:, self._most]
+        return float(np.mean(1.0 - correlation(asked, seen) ** 2))
+
+    @cached_property
+    def gain(self) -> np.ndarray:
+        """(moving joints) how many times as far as asked each joint moves, once it has left its start."""
+        m = self.measurement
+        settled = m.time > m.commands.time[0] + m.commands.ramp + 0.2
+        asked, seen = self.asked(0.0)[settled], self._seen[settled]
+        size = np.std(asked, axis=0) if len(asked) else np.zeros(len(self.joints))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(size > MOVES / 2, np.std(seen, axis=0) / size, np.nan)
+
+    @cached_property
+    def lag(self) -> float:
+        """The lag (s) at which the joints together follow best; NaN if the motion does not tell."""
+        if not self.told:
+            return float("nan")
+        coarse = np.arange(-REACH, REACH + COARSE / 2, COARSE)
+        typical = np.array([self.missed(lag) for lag in coarse])
+        near = float(coarse[int(np.argmin(typical))])
+        possible = (coarse > LEADS) & (coarse < LONGEST)
+        if typical[possible].min() < ALIAS * typical.min():  # a periodic motion looks the same a period later
+            near = float(coarse[possible][int(np.argmin(typical[possible]))])
+        fine = near + np.arange(-COARSE, COARSE + STEP / 2, STEP)
+        missed = [self.missed(lag) for lag in fine]
+        best = int(np.argmin(missed))
+        clear = missed[best] < FOLLOWS and np.median(typical) > SHARPER * missed[best]
+        return float(fine[best]) if clear and abs(near) < REACH - COARSE / 2 else float("nan")
+
+    @cached_property
+    def leads(self) -> bool:
+        """Whether no lag that a robot could have explains the motion nearly as well; a slow one may seem to lead."""
+        if not self.lag <= LEADS:
+            return False
+        least = NEARLY * self.missed(self.lag)
+        return all(self.missed(lag) > least for lag in np.arange(LEADS / 2, LONGEST, COARSE))
+
+    @cached_property
+    def rate(self) -> tuple[float, float]:
+        """The rate of the samples' clock over that of the commands', and how much better it explains the motion than 1.
+
+        The rate is 1 unless another one explains the motion better and makes more than a lag that changes with speed.
+        """
+        if not self.told:
+            return 1.0, 1.0
+        right = min(self.missed(lag) for lag in np.arange(-REACH, REACH, 2 * COARSE))
+        if right < WELL:
+            return 1.0, 1.0
+        length = float(self.measurement.time[-1] - self.measurement.time[0])
+        step = float(np.clip(0.1 / length, 0.002, 0.02))
+        rates = 1.0 + step * np.arange(-round(FASTEST / step), round(FASTEST / step) + 1)
+        best = np.array([min(self.missed(lag, rate) for lag in np.arange(-0.04, 0.25, 2 * COARSE)) for rate in rates])
+        k = int(np.argmin(best))
+        gain = float(right / best[k])
+        found = abs(rates[k] - 1) > max(LEAST_RATE, DRIFT / length) and best[k] < FOLLOWS and gain > RATE_GAIN
+        return (float(1.0 / rates[k]), gain) if found else (1.0, 1.0)
+
+
+def clock_rate(followings: Sequence[Following]) -> float:
+    """The rate of the samples' clock that most rollouts agree on, or that one alone leaves no doubt of; else 1.
+
+    A servo at its limits may look like a wrong rate in one motion, but not like the same one in others.
+    """
+    told = [f.rate for f in followings if f.told]
+    found = np.array([rate for rate, _ in told if rate != 1.0])
+    if len(told) == 1 and len(found):
+        return float(found[0]) if told[0][1] > SURE_GAIN else 1.0
+    if len(found) < 2 or len(found) < len(told) / 2 or np.abs(found - np.median(found)).max() > SAME_RATE:
+        return 1.0
+    return float(np.median(found))
+
+
+def by_torque(m: Measurement) -> bool:
+    """Whether the commands are torques, which no joint position follows."""
+    return m.rig in rig_names() and load_rig(m.rig).kind == "torque"
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(J,) correlation of each column of `a` with the same one of `b`; 0 where one stands still."""
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    size = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
+    return np.where(size > 0, (a * b).sum(axis=0) / np.where(size > 0, size, 1.0), 0.0)
+
+
+def aligned(measurements: Sequence[Measurement], followings: Sequence[Following] | None = None) -> Aligned:
+    """Takes out what only the clocks can have done; what may be a latency stays."""
+    followings = followings or [Following(m) for m in measurements]
+    lags = np.array([f.lag for f in followings])
+    shift = np.zeros(len(lags))
+    findings: list[list[str]] = [[] for _ in measurements]
+    with np.errstate(invalid="ignore"):
+        sound = (lags > LEADS) & (lags < LONGEST)
+    leading = np.array([f.leads for f in followings], bool)
+    usual = float(np.median(lags[sound])) if sound.any() else 0.0
+    for r in np.nonzero(leading)[0]:
+        shift[r] = usual - lags[r]
+        findings[r].append(
+            f"The joints lead their commands by {-1000 * lags[r]:.0f} ms: the streams are stamped by different clocks. "
+            f"All its signals are compared {1000 * shift[r]:.0f} ms later; their common latency cannot be told"
+        )
+    moved = [_shifted(m, s) for m, s in zip(measurements, shift, strict=True)]
+    replayable = [r for r, m in enumerate(moved) if len(m.commands.time)]
+    for group in find_replicates([moved[r] for r in replayable]):
+        members = [replayable[i] for i in group.members]
+        for i, late in _odd_repeats([moved[r] for r in members], usual).items():
+            k = members[i]
+            moved[k] = _shifted(moved[k], -late)
+            findings[k].append(
+                f"All signals come {1000 * abs(late):.0f} ms {'later' if late > 0 else 'earlier'} than when the same "
+                "commands were repeated: an artefact of the clocks, taken out before any error is measured"
+            )
+    return Aligned(tuple(moved), tuple(tuple(f) for f in findings))
+
+
+def _shifted(m: Measurement, by: float) -> Measurement:
+    return m if not by else dataclasses.replace(
+        m, time=m.time + by, gaps=tuple((name, begin + by, end + by) for name, begin, end in m.gaps)
+    )  # fmt: skip
+
+
+def _odd_repeats(repeats: Sequence[Measurement], usual: float) -> dict[int, float]:
+    """Which repeats of one motion come late as a whole (s, negative for early), measured from the most usual one."""
+    if len(repeats) < 2:
+        return {}
+    late = np.array([common_shift(repeats[0], m) for m in repeats])
+    if not np.isfinite(late).any():
+        return {}
+    first = Following(repeats[0]).lag
+    lags = late + (first if np.isfinite(first) else usual)
+    aim = float(np.nanmedian(lags)) if len(repeats) > 2 else usual
+    late = late - late[int(np.nanargmin(np.abs(lags - aim)))]
+    return {r: float(late[r]) for r in range(len(repeats)) if np.isfinite(late[r]) and abs(late[r]) >= BETWEEN}
+
+
+def common_shift(a: Measurement, b: Measurement) -> float:
+    """By how much (s) all signals of `b` come later after their commands than those of a repeat `a`.
+
+    NaN unless nearly all moving signals, joints and body alike, agree on it.
+    """
+    rate = 1.0 / STEP
+    asked = float(np.mean(b.commands.time - a.commands.time)) if len(a.commands.time) == len(b.commands.time) else 0.0
+    end = min(a.time[-1], b.time[-1])
+    time = np.arange(max(a.time[0], b.time[0]), end, STEP)
+    if len(time) < 4 * BETWEEN_REACH * rate:
+        return float("nan")
+    layout = Layout.of([a, b], rate)
+    use = [
+        i for i, c in enumerate(layout.channels) if c.group.name in ("joint_position", "attitude", "angular_velocity")
+    ]
+    first, second = (layout.extract(m.resampled(time))[:, use] for m in (a, b))
+    reach = round(BETWEEN_REACH / STEP)
+    middle = slice(reach, len(time) - reach)
+    core = first[middle]
+    width = len(core)
+    missed = np.stack(
+        [1.0 - correlation(core, second[reach + k : reach + k + width]) ** 2 for k in range(-reach, reach + 1, 2)]
+    )
+    best = np.argmin(missed, axis=0)
+    clear = (missed.min(axis=0) < FOLLOWS) & (np.median(missed, axis=0) > SHARPER * missed.min(axis=0))
+    shifts = (2 * best[clear] - reach) * STEP
+    if not len(shifts):
+        return float("nan")
+    middle_shift = float(np.median(shifts))
+    agree = np.mean(np.abs(shifts - middle_shift) <= AGREE)
+    return middle_shift - asked if agree > 0.8 else float("nan")

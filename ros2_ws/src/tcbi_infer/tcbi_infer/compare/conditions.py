@@ -1,0 +1,139 @@
+"""Under what a joint errs: phases of its motion, and conditions that may make an error grow.
+
+Phases are masks: stance and swing (where the rig has feet), just after a reversal of direction, standing still, moving.
+Conditions are numbers: load, speed, command size, slope, time since start, and whatever the recording says of itself
+as a constant that differs between rollouts (a supply voltage, a temperature, a gain).
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_infer.compare.signals import DEGREE, JOINT, Layout, reference
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.rig import Rig
+
+STANCE, SWING, REVERSAL = "in stance", "in swing", "just after reversing direction"
+STILL, MOVING = "while standing still", "while moving"
+REVERSAL_S = 0.15  # s after a change of direction
+SLOW = 0.05  # rad/s below which a joint counts as standing still
+LARGE = 2.0 / 3.0  # quantile from which a condition counts as high
+
+
+@dataclasses.dataclass(frozen=True)
+class Condition:
+    """One number for each sample and joint.
+
+    Attributes:
+      values: (R, T, J).
+      high: the words for its upper third in a sentence.
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+    high: str
+
+    def upper(self) -> np.ndarray:
+        """(R, T, J) bool: the upper third, by value; nothing of a condition that hardly varies."""
+        known = self.values[np.isfinite(self.values)]
+        if not len(known) or np.ptp(known) < 1e-9:
+            return np.zeros(self.values.shape, bool)
+        edge = np.quantile(known, LARGE)
+        edge = edge if edge > known.min() else known.min() + 0.5 * np.ptp(known)
+        return self.values >= edge
+
+
+def phases(rig: Rig, measurement: Measurement, time: np.ndarray) -> dict[str, np.ndarray]:
+    """Boolean masks (T, J) over samples and joints, by phase of the commanded motion.
+
+    Args:
+      rig: the robot.
+      measurement: the rollout, sampled at `time`.
+      time: (T,) s of the common grid.
+    """
+    speed = np.gradient(reference(measurement, time), time, axis=0)
+    moving = np.abs(speed) > SLOW
+    reversal = _reversals(speed, moving, max(1, round(REVERSAL_S / float(time[1] - time[0]))))
+    return {
+        **_contact_phases(rig, measurement, len(time)),
+        REVERSAL: reversal,
+        STILL: ~moving & ~reversal,
+        MOVING: moving & ~reversal,
+    }
+
+
+def _reversals(speed: np.ndarray, moving: np.ndarray, length: int) -> np.ndarray:
+    reversal = np.zeros_like(moving)
+    for j in range(speed.shape[1]):
+        last = 0.0
+        for t in np.nonzero(moving[:, j])[0]:
+            sign = np.sign(speed[t, j])
+            if last and sign != last:
+                reversal[t : t + length, j] = True
+            last = sign
+    return reversal
+
+
+def _contact_phases(rig: Rig, measurement: Measurement, length: int) -> dict[str, np.ndarray]:
+    """Stance and swing of the joints of each leg that has a foot."""
+    if measurement.contact is None or len(measurement.contact) != length:
+        return {}
+    stance = np.zeros((length, len(measurement.joint_names)), bool)
+    swing = np.zeros_like(stance)
+    for f, foot in enumerate(measurement.foot_names):
+        joints = [rig.index(j) for j in rig.legs.get(foot, ())]
+        stance[:, joints] = measurement.contact[:, f, None]
+        swing[:, joints] = ~measurement.contact[:, f, None]
+    return {STANCE: stance, SWING: swing} if swing.any() else {}
+
+
+def conditions(
+    layout: Layout, measurements: Sequence[Measurement], time: np.ndarray, predicted: np.ndarray
+) -> list[Condition]:
+    """What may make an error grow; what never varies is left out.
+
+    Load is how far the model's servo gives way, commanded less predicted position: what a position servo turns into
+    torque. It is taken from the prediction, since the measured position stands in the error itself.
+
+    Args:
+      layout: the channels.
+      measurements: (R) rollouts, on the common grid.
+      time: (T,) s.
+      predicted: (R, T, C).
+    """
+    asked = np.stack([reference(m, time) for m in measurements])
+    shape = asked.shape
+    load = np.abs(asked * DEGREE - predicted[..., layout.where(JOINT)])
+    slope = [np.hypot(m.scenario.slope_roll, m.scenario.slope_pitch) * DEGREE for m in measurements]
+    found = [
+        Condition("load: the model's servo gives way", "deg", load, "under high load"),
+        Condition("commanded speed", "deg/s", np.abs(np.gradient(asked, time, axis=1)) * DEGREE, "at high speed"),
+        Condition("size of the command", "deg", _command_sizes(measurements, time), "on large commands"),
+        Condition("slope", "deg", _wide(slope, shape), "on the steeper slopes"),
+        Condition("time since start", "s", np.broadcast_to(time[None, :, None], shape), "late in the rollouts"),
+    ]
+    return [c for c in (*found, *_recorded(measurements, shape)) if np.nanmax(c.values) - np.nanmin(c.values) > 1e-9]
+
+
+def _wide(each: Sequence[float], shape: tuple[int, ...]) -> np.ndarray:
+    return np.broadcast_to(np.asarray(each, float)[:, None, None], shape)
+
+
+def _command_sizes(measurements: Sequence[Measurement], time: np.ndarray) -> np.ndarray:
+    """(R, T, J) deg, how far the command in force asks each joint to go."""
+    sizes = []
+    for m in measurements:
+        before = np.concatenate([m.joint_position[:1], m.commands.target[:-1]])
+        step = np.abs(m.commands.target - before) * DEGREE
+        row = np.searchsorted(m.commands.time, time + 1e-9, side="right") - 1
+        sizes.append(np.where(row[:, None] < 0, 0.0, step[np.maximum(row, 0)]))
+    return np.stack(sizes)
+
+
+def _recorded(measurements: Sequence[Measurement], shape: tuple[int, ...]) -> list[Condition]:
+    """Constants that every rollout states and that differ, such as a bench's supply voltage or its servo's gain."""
+    tables = [dict(m.scenario.constants) for m in measurements]
+    names = [name for name in tables[0] if all(name in table for table in tables)]
+    return [Condition(name, "", _wide([t[name] for t in tables], shape), f"at high {name}") for name in names]

@@ -1,0 +1,64 @@
+"""Checks of the IMU against itself: its gyro must turn as its attitude turns, its accelerometer must feel gravity."""
+
+import numpy as np
+
+from tcbi_sim.measurement import Measurement, continuous
+
+TURNS = np.radians(3.0)  # rad/s, standard deviation of a body rate that counts as motion
+WINDOW = 5  # samples averaged over, against noise
+MIRRORED, FOLLOWS = -0.6, 0.7  # correlations
+GRAVITY = 9.81  # m/s^2
+AXES = "xyz"
+
+
+def check_imu(m: Measurement) -> list[str]:
+    """Findings about gyro and accelerometer of one recording."""
+    return [*_gyro(m), *_accelerometer(m)]
+
+
+def _gyro(m: Measurement) -> list[str]:
+    if m.attitude is None or m.angular_velocity is None or len(m.time) < 4 * WINDOW:
+        return []
+    turned, felt = body_rates(m.attitude, m.time), (m.angular_velocity[1:] + m.angular_velocity[:-1]) / 2
+    kernel = np.ones(WINDOW) / WINDOW
+    turned, felt = (np.stack([np.convolve(c, kernel, "valid") for c in v.T], axis=-1) for v in (turned, felt))
+    moving = [i for i in range(3) if np.std(turned[:, i]) > TURNS and np.std(felt[:, i]) > 0]
+    if not moving:
+        return []
+    table = np.corrcoef(turned.T, felt.T)[:3, 3:]
+    slope = np.median([np.std(felt[:, i]) / np.std(turned[:, i]) for i in moving])
+    findings = []
+    if 30 < slope < 100:
+        findings.append("The gyro turns 57 times as fast as the attitude: it looks like degrees a second")
+    findings += [
+        f"The gyro's {AXES[i]} axis turns against the attitude: it may be mirrored"
+        for i in moving
+        if table[i, i] < MIRRORED
+    ]
+    findings += [
+        f"The gyro's {AXES[i]} and {AXES[j]} axes turn as the attitude does about each other's: they may be swapped"
+        for i in moving
+        for j in moving
+        if i < j
+        and min(abs(table[i, j]), abs(table[j, i])) > max(FOLLOWS, max(abs(table[i, i]), abs(table[j, j])) + 0.3)
+    ]
+    return findings
+
+
+def body_rates(attitude: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """(T - 1, 3) rad/s in the body's frame between neighbouring attitudes (T, 4) w x y z."""
+    q = continuous(attitude)
+    a, b = q[:-1], q[1:]
+    turn = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
+    return 2.0 * turn / np.diff(time)[:, None]
+
+
+def _accelerometer(m: Measurement) -> list[str]:
+    if m.linear_acceleration is None or len(m.time) < 10:
+        return []
+    size = float(np.median(np.linalg.norm(m.linear_acceleration, axis=-1)))
+    if 0.9 < size < 1.1:
+        return ["The accelerometer reads 1 at rest: it looks like multiples of gravity instead of m/s^2"]
+    if size < 0.1 * GRAVITY:
+        return ["The accelerometer feels no gravity: it was taken out before recording, or the sensor is dead"]
+    return []

@@ -1,0 +1,84 @@
+"""What an error looks like: lag, offset, droop, gain, hysteresis, or scatter."""
+
+import dataclasses
+
+import numpy as np
+
+TELLS = 0.4  # share of the squared error from which a kind names it
+TOGETHER = 0.6  # of what single joints show that joints with one common size must keep, to be told as one
+SLOW = 3.0  # deg/s below which a direction counts for nothing
+LAG, OFFSET, DROOP, GAIN, HYSTERESIS, SCATTER = "lag", "offset", "droop", "gain", "hysteresis", "scatter"
+
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """The kind of an error, and its size: s of a lag, deg of offset, hysteresis and scatter, a share of droop and gain.
+
+    Attributes:
+      together: whether all joints err the same way.
+      share: of the squared error that it makes up.
+    """
+
+    name: str
+    size: float
+    together: bool
+    share: float
+
+    def words(self, plural: bool) -> str:
+        """The verb of a sentence about one joint or several."""
+        s = "" if plural else "s"
+        size, apart = abs(self.size), "" if self.together else ", each its own way"
+        if self.name == LAG:
+            return f"{'lag' if self.size > 0 else 'lead'}{s} the prediction by {1000 * size:.0f} ms{apart}"
+        if self.name == OFFSET:
+            side = "off" if apart else "above" if self.size > 0 else "below"
+            return f"sit{s} {size:.1f} deg {side} the prediction{apart}"
+        if self.name == DROOP:
+            if apart:
+                return f"give{s} way under load otherwise than predicted, by {100 * size:.0f} %{apart}"
+            return f"give{s} way {100 * size:.0f} % {'more' if self.size > 0 else 'less'} under load than predicted"
+        if self.name == GAIN:
+            move = "too far or too little" if apart else "too far" if self.size > 0 else "too little"
+            return f"move{s} {100 * size:.0f} % {move}{apart}"
+        if self.name == HYSTERESIS:
+            verb = f"trail{s}" if self.size > 0 else f"run{s} ahead"
+            return f"{verb} by {size:.1f} deg whichever way {'they move' if plural else 'it moves'}{apart}"
+        return f"scatter{s} by {size:.1f} deg about the prediction"
+
+
+def kind_of(error: np.ndarray, predicted: np.ndarray, velocity: np.ndarray, asked: np.ndarray) -> Kind:
+    """The kind that makes up most of an error.
+
+    Args:
+      error: (J, n) deg, measured less predicted, NaN where it does not count; one row for each joint.
+      predicted: (J, n) deg.
+      velocity: (J, n) deg/s, of the prediction.
+      asked: (J, n) deg, the command.
+    """
+    here = np.isfinite(error)
+    error = np.where(here, error, 0.0)
+    count = np.maximum(here.sum(axis=1, keepdims=True), 1)
+    middle = np.where(here, predicted, 0.0).sum(axis=1, keepdims=True) / count
+    shapes = {
+        LAG: -velocity,
+        HYSTERESIS: -np.sign(velocity) * (np.abs(velocity) > SLOW),
+        OFFSET: np.ones_like(error),
+        DROOP: predicted - asked,
+        GAIN: predicted - middle,
+    }
+    total = float(np.sum(error**2))
+    best = Kind(SCATTER, float(np.sqrt(total / max(here.sum(), 1))), True, 0.0)
+    for name, shape in shapes.items():
+        x = np.where(here, shape, 0.0)
+        own, size = np.sum(error * x, axis=1), np.sum(x**2, axis=1)
+        told = size > 1e-9
+        if not told.any() or total <= 0:
+            continue
+        each = float(np.sum(own[told] ** 2 / size[told]) / total)
+        pooled = float(np.sum(own) ** 2 / np.sum(size) / total)
+        if each < TELLS or each < best.share + 0.02:
+            continue
+        together = pooled >= TOGETHER * each
+        coefficient = np.sum(own) / np.sum(size) if together else np.median(np.abs(own[told] / size[told]))
+        best = Kind(name, float(coefficient), together, each)
+    return best
