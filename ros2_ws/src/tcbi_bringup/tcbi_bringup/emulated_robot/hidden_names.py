@@ -39,7 +39,7 @@ def fault(name: str) -> str:
 
 
 def hidden(text: str) -> str:
-    """The type of a command's argument: a known name, or several joined by +."""
-    if fault(text):
+    """The type of a command's argument: a known name, or several joined by +; empty is not given."""
+    if text and fault(text):
         raise argparse.ArgumentTypeError(fault(text))
     return text
