@@ -22,10 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi diagnose rollouts/*                           # the latest model, all effects of the library",
         "./tcbi diagnose rollouts/* --model hexapod-v1 --report why.html",
         "./tcbi diagnose rollouts/* --effects coulomb_friction,backlash --json",
+        "./tcbi diagnose rollouts/* --show backlash                # and which motion would show it best",
     )
     console.add_bags(parser)
     console.add_model(parser)
     parser.add_argument("--effects", help="comma-separated candidates (default: the whole library)")
+    parser.add_argument(
+        "--show", metavar="EFFECT", help="comma-separated candidates of which to say which motion would show them best"
+    )
     parser.add_argument("--refine", type=at_least(0), default=3, help="candidates that get a full fit (default: 3)")
     parser.add_argument(
         "--quick", action="store_true", help="a first answer from few motions: coarse steps, no single joints, two fits"
@@ -58,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
             uses=uses,
             settings=dataclasses.replace(QUICK if args.quick else Settings(refine=args.refine), seed=args.seed),
             progress=lambda stage, share: advance(done=round(100 * share), note=stage),
+            show=find_candidates(model, args.show.split(",")) if args.show else (),
         )
     saved = remember(diagnosis, store.folder("runs"))
     report = Report(
@@ -73,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(d: "Diagnosis", path: Path) -> None:
-    from tcbi_infer.diagnose import detectable
+    from tcbi_infer.diagnose import detectable, excitation
 
     for finding in d.guards:
         print(f"note: {finding}")
@@ -94,6 +99,10 @@ def _print(d: "Diagnosis", path: Path) -> None:
         print(f"  {claim}")
     if d.untestable:
         print(f"  not testable with these rollouts: {', '.join(d.untestable)}")
+    for line in excitation.advice(d.next_motions):
+        print(f"  {line}")
+    for command in dict.fromkeys(m.command for m in excitation.best(d.next_motions) if m.command):
+        print(f"next: {command}")
     if d.uses:
         print(f"next: ./tcbi add {d.uses[0]} --model {d.model}")
     print(f"report: {path} ({d.seconds:.0f} s)")

@@ -29,6 +29,7 @@ DRAWS = 100  # null data sets that are looked at
 SIZES = np.geomspace(0.005, 1.0, 16)  # of the way to the end of the range; signatures are not scaled down further
 PARALLEL = 0.97  # cosine with what base parameters and joint scatter do, above which nothing can be told apart
 MUCH = 20.0  # nats over all kinds of motion: an effect that gains this is seen, if only in some of them
+CURVED = 1.3  # power of its size with which a signature grows that is curvature; 2 without a straight rest
 STRAIGHT = 0.8  # least cosine between the signatures of two sizes, of which others may then be interpolated
 LIMITS = ("the search", "the fall of the error", "the interval")
 
@@ -221,7 +222,7 @@ class _Use:
         if len(ray.ks) < 2 or self._cosine(ray.ks[0]) < PARALLEL:
             return False
         growth = np.sqrt(self.profiled[ray.ks[-1]] / self.profiled[ray.ks[0]])
-        return bool(growth > (ray.lengths[-1] / ray.lengths[0]) ** 1.5)
+        return bool(growth > (ray.lengths[-1] / ray.lengths[0]) ** CURVED)
 
     def _cosine(self, k: int) -> float:
         """Between a direction and the best that base parameters and scatter can do."""

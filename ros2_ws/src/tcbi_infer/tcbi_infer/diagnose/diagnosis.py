@@ -36,7 +36,7 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
-CLOSE_STEPS = (0.05, 0.03, 0.03, 0.02, 0.02, 0.02, 0.02)  # of finite differences; a fit that has converged ends before
+CLOSE_STEPS = (0.05, 0.05, 0.03, 0.03, 0.03, 0.02, 0.02)  # of finite differences; a fit that has converged ends before
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
 Progress = Callable[[str, float], None]  # stage, share done
 
@@ -90,6 +90,12 @@ def library(model: Model) -> list[EffectUse]:
     return [u for u in candidates(load_rig(model.rig)) if u.key not in model.effects]
 
 
+def tried(model: Model, settings: Settings) -> list[str]:
+    """The uses that a diagnosis tries where none are named."""
+    single = () if settings.per_joint else load_rig(model.rig).joint_names
+    return [u.key for u in library(model) if u.site not in single]
+
+
 def find_candidates(model: Model, wanted: Sequence[str]) -> list[str]:
     """The uses that effects' names ("weak_leg", at all its sites) or single uses ("weak_leg:lf") stand for.
 
@@ -122,13 +128,9 @@ class _Run:
         self.replay = Replay.of(model, measurements)
         self.split: Split = split(self.replay.replicates, settings.seed, settings.sealed_share)
         self.sets = np.array(self.split.open, int)
-        self.uses = list(uses) if uses is not None else self._library()
+        self.uses = list(uses) if uses is not None else tried(model, settings)
         self.floor = self._floor(model)
         self.problem = Problem.of(self.replay, self.floor.values)
-
-    def _library(self) -> list[str]:
-        single = () if self.settings.per_joint else load_rig(self.model.rig).joint_names
-        return [u.key for u in library(self.model) if u.site not in single]
 
     def _floor(self, model: Model) -> NoiseFloor:
         predicted = self.replay.predict(model, model.mean()[None], timestep=self.settings.coarse)
@@ -293,7 +295,7 @@ class _Run:
             moments=tuple(judge.moments(before, after[best.use])) if best else (),
             false_alarms=false_alarms(null),
             detectable=detectable,
-            next_motions=self._next_motions(ruling, before, after, detectable) if self.show else (),
+            next_motions=self._next_motions(ruling, before, after, detectable),
         )
 
     def _next_motions(

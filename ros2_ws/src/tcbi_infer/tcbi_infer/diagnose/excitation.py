@@ -18,7 +18,8 @@ from tcbi_infer.diagnose.problem import Problem
 
 STEP = 0.05  # of a range, of the finite differences
 FARTHEST = 0.25  # of a range, that a refit may go
-TELLING = 3.0  # nats, odds of twenty to one: less is no reason to record a motion
+AT_REST_S = 0.5  # s at the beginning that do not count: they tell how the rig was at rest, not how it moves
+TELLING = 10.0  # nats: less may come from how the two fits differ by chance, and is no reason to record a motion
 
 
 def next_motions(
@@ -147,8 +148,15 @@ def _planned(problem: Problem, truth: Fit, motions: Sequence[Motion], timestep: 
     observed = replay.predict(truth.model, truth.parameters[None], timestep=timestep)[0]
     measured = (problem.weight > 0).any(axis=(0, 1))
     lasts = np.array([m.scenario.duration for m in motions])[:, None] >= time - 1e-6
-    weight = (old.layout.kept(len(time)) & measured & lasts[..., None] & np.isfinite(observed)).astype(float)
+    counted = (lasts & (time > AT_REST_S))[..., None]
+    weight = (old.layout.kept(len(time)) & measured & counted & np.isfinite(observed)).astype(float)
     return dataclasses.replace(problem, replay=replay, observed=observed, weight=weight, kind=np.arange(len(motions)))
+
+
+def best(motions: Sequence[NextMotion]) -> list[NextMotion]:
+    """The most telling motion for each pair of models that one of them tells apart."""
+    firsts = {m.between: m for m in reversed(motions)}
+    return [m for m in firsts.values() if m.nats >= TELLING]
 
 
 def advice(motions: Sequence[NextMotion]) -> list[str]:
@@ -157,16 +165,16 @@ def advice(motions: Sequence[NextMotion]) -> list[str]:
     for pair in dict.fromkeys(m.between for m in motions):
         mine = [m for m in motions if m.between == pair]
         first, second = (name or "a model without it" for name in pair)
-        best = mine[0]
-        if best.nats < TELLING:
+        told = mine[0]
+        if told.nats < TELLING:
             lines.append(
-                f"None of {len(mine)} ready motions tells {first} from {second}: at best {best.nats:.1f} nats "
-                f"({best.motion})."
+                f"None of {len(mine)} ready motions tells {first} from {second}: at best {told.nats:.1f} nats "
+                f"({told.motion})."
             )
             continue
         others = "".join(f", {m.motion} {m.nats:.0f}" for m in mine[1:3])
         lines.append(
-            f"To tell {first} from {second}, record {best.motion} ({best.description}): {best.nats:.0f} nats of "
-            f"evidence expected in {best.duration_s:g} s{others}."
+            f"To tell {first} from {second}, record {told.motion} ({told.description}): {told.nats:.0f} nats of "
+            f"evidence expected in {told.duration_s:g} s{others}."
         )
     return lines

@@ -18,6 +18,8 @@ from tcbi_sim.rig import Rig
 DRAWN = ("excite", "steps", "dither", "sinus")  # gaits of which every seed is another motion
 STILL = ("stand",)
 TASK = "balance"  # on a plain slope, without blocks
+GAITS_TO_LEARN = ("steps", "sinus", "tripod", "squat", "twist")
+SLOPE, TURN = 0.12, 2.4  # rad: of the ground, and between the directions in which it falls under one gait and the next
 SHORTEST_S, LONGEST_S = 2.0, 8.0
 GENTLE = 0.8  # of the largest position and speed seen
 WORDS = {
@@ -94,18 +96,43 @@ def _plans(measurements: Sequence[Measurement], duration: float) -> list[Motion]
     intervals = np.concatenate([np.diff(m.commands.time) for m in measurements])
     period = float(np.median(intervals)) if len(intervals) else CONTROL_PERIOD_S
     low, high = targets.min(axis=0), targets.max(axis=0)
-    middle, reach = (low + high) / 2, GENTLE * (high - low) / 2
-    change = np.concatenate([np.abs(np.diff(m.commands.target, axis=0)).reshape(-1, len(low)) for m in measurements])
-    fastest = GENTLE * change.max(axis=0) if len(change) else reach  # rad a command
+    changes = [np.abs(np.diff(m.commands.target, axis=0)).reshape(-1, len(low)) for m in measurements]
+    fastest = np.concatenate([*changes, np.zeros((1, len(low)))]).max(axis=0)
+    return planned(first.scenario, (low + high) / 2, GENTLE * (high - low) / 2, GENTLE * fastest, duration, period)
+
+
+def planned(
+    scenario: Scenario,
+    middle: np.ndarray,
+    reach: np.ndarray,
+    fastest: np.ndarray,
+    duration: float,
+    period: float = CONTROL_PERIOD_S,
+) -> list[Motion]:
+    """Every plan within `reach` (J,) rad of `middle`, no faster than `fastest` (J,) rad a command."""
     time = np.arange(round(duration / period)) * period
-    scenario = dataclasses.replace(first.scenario, duration=duration, initial_joint_position=tuple(middle))
+    scenario = dataclasses.replace(scenario, duration=duration, initial_joint_position=tuple(map(float, middle)))
     motions = []
     for name, plan in plans(np.random.default_rng(0)).items():
-        wanted, last = middle + reach * plan(time / duration, len(low)), middle
+        wanted, last = middle + reach * plan(time / duration, len(middle)), middle
         for k, target in enumerate(wanted):
             wanted[k] = last = last + np.clip(target - last, -fastest, fastest)
-        motions.append(Motion(name, WORDS[name], scenario, Commands(time, wanted, first.commands.ramp)))
+        motions.append(Motion(name, WORDS[name], scenario, Commands(time, wanted, period)))
     return motions
+
+
+def standard_motions(rig: Rig, duration: float) -> list[Motion]:
+    """Motions for a rig of which nothing was recorded: gaits on slopes, or plans over half of the joints' range."""
+    if rig.joint_names == JOINTS:
+        return [
+            gait_motion(name, SLOPE * float(np.cos(TURN * i)), SLOPE * float(np.sin(TURN * i)), duration)
+            for i, name in enumerate(GAITS_TO_LEARN)
+        ]
+    joints = len(rig.joint_names)
+    reach = np.full(joints, min(0.5 * rig.joint_range, 1.0))
+    fastest = np.full(joints, 0.5 * rig.speed_limit * CONTROL_PERIOD_S)
+    scenario = Scenario("selftest", duration, settle=1.0 if rig.floating else 0.0)
+    return planned(scenario, np.zeros(joints), reach, fastest, duration)
 
 
 Plan = Callable[[np.ndarray, int], np.ndarray]  # (K,) share of the time gone, joints -> (K, J) between -1 and 1

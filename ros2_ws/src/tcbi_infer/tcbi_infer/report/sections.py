@@ -5,7 +5,7 @@ from typing import Any
 
 from tcbi_contract.wording import with_unit
 from tcbi_infer.compare.versions import Difference, Interval, intervals
-from tcbi_infer.diagnose import detectable
+from tcbi_infer.diagnose import detectable, excitation
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis, Evidence
 from tcbi_infer.report import plots
 from tcbi_infer.report.page import Figure, Report, Section, Table
@@ -66,9 +66,26 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     named = [e for e in d.ranking if e.use in d.uses and e.refined]
     if named:
         report.add(_sizes(named))
+    if d.next_motions:
+        report.add(_next_motions(d))
     if d.untestable:
         text = ["In these rollouts the following change nothing that can be measured, so nothing is said about them."]
         report.add(Section("What these rollouts cannot test", text=text, notes=d.untestable))
+
+
+def _next_motions(d: Diagnosis) -> Section:
+    names = {m.between: " against ".join(name or "a model without it" for name in m.between) for m in d.next_motions}
+    rows = [[names[m.between], m.motion, m.description, m.nats, m.duration_s, m.command] for m in d.next_motions]
+    return Section(
+        "What to record next",
+        text=[
+            "Both models were simulated on motions that are ready to be recorded, each in turn as the truth, the other "
+            "one refitted. The evidence is the log-likelihood ratio to expect, whichever is right."
+        ],
+        notes=excitation.advice(d.next_motions),
+        table=Table(["to tell apart", "motion", "what it does", "evidence / nats", "length / s", "command"], rows),
+        folded=True,
+    )
 
 
 def _ranking(d: Diagnosis, most: int = 12) -> Section:

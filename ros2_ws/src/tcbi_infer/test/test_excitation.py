@@ -1,0 +1,81 @@
+"""What to record next: motions on which models that these rollouts cannot tell apart would differ."""
+
+import numpy as np
+import pytest
+from bench_recordings import BASE, record
+
+from tcbi_contract.names import JOINT_LIMIT, JOINTS
+from tcbi_infer.diagnose import Diagnosis, diagnose
+from tcbi_infer.diagnose.diagnosis import QUICK
+from tcbi_infer.diagnose.excitation import TELLING, advice
+from tcbi_infer.diagnose.motions import ready_motions, standard_motions
+from tcbi_sim.measurement import Commands, Measurement, Scenario
+from tcbi_sim.model import base_model
+from tcbi_sim.rigs import load_rig
+
+TWINS = ("command_latency", "sensor_latency")
+HEAVY = "rotor_inertia"
+
+
+@pytest.fixture(scope="module")
+def unsure() -> Diagnosis:
+    """A late bench without body sensors, of which no motion tells where the delay sits."""
+    truth = base_model("servo_bench").with_effect("command_latency")
+    rollouts = [m for m in record(truth, np.r_[BASE, 0.06]) if m.policy_id in ("sine", "steps", "chirp", "saw")]
+    return diagnose(base_model("servo_bench"), rollouts, uses=TWINS, settings=QUICK, show=[HEAVY])
+
+
+def test_no_motion_is_said_to_tell_twins_apart(unsure):
+    assert unsure.verdict == "cannot_tell"
+    between = [m for m in unsure.next_motions if set(m.between) == set(TWINS)]
+    assert between and max(m.nats for m in between) < TELLING
+    assert any(line.startswith(f"None of {len(between)} ready motions tells") for line in advice(unsure.next_motions))
+
+
+def test_a_rotors_inertia_shows_where_the_joint_accelerates(unsure):
+    nats = {m.motion: m.nats for m in unsure.next_motions if m.between == (HEAVY, "")}
+    assert min(nats["steps"], nats["reversals"]) > 3 * nats["sweep"]
+
+
+def test_the_most_telling_motion_comes_first_with_the_commands_to_play(unsure):
+    told = [m for m in unsure.next_motions if m.between == (HEAVY, "")]
+    assert [m.nats for m in told] == sorted((m.nats for m in told), reverse=True)
+    time, target = np.array(told[0].table).T
+    assert not told[0].command and np.all(np.diff(time) > 0) and np.ptp(target) > 0.1
+    assert unsure.to_json()["next_motions"][0]["table"]
+
+
+def recorded(policy_id: str, rig: str = "hexapod", targets: np.ndarray | None = None) -> Measurement:
+    joints = load_rig(rig).joint_names
+    commands = Commands(np.arange(20) * 0.2, np.zeros((20, len(joints))) if targets is None else targets)
+    scenario = Scenario("balance", 4.0, slope_roll=0.1)
+    time = np.arange(1, 201) / 50
+    return Measurement("r", rig, scenario, policy_id, "sim", commands, joints, (), time, np.zeros((200, len(joints))))
+
+
+def test_a_walking_robot_is_offered_gaits_that_it_has_not_recorded():
+    motions = ready_motions(load_rig("hexapod"), [recorded("gait:twist"), recorded("gait:steps")])
+    names = {m.name for m in motions}
+    assert {"gait:steps:1", "gait:dither", "gait:tripod"} <= names
+    assert not {"gait:twist", "gait:steps", "gait:stand"} & names
+    assert all("--slope-roll 0.1 " in m.command and m.scenario.slope_roll == 0.1 for m in motions)
+    assert all(np.abs(m.commands.target).max() <= JOINT_LIMIT + 1e-9 for m in motions)
+    assert all(m.commands.target.shape == (20, 18) and m.description for m in motions)
+
+
+def test_a_bench_is_offered_plans_within_the_positions_and_speeds_that_it_has_seen():
+    seen = 0.5 + 0.3 * np.sin(np.arange(20))[:, None]
+    motions = ready_motions(load_rig("servo_bench"), [recorded("", "servo_bench", seen)])
+    fastest = np.abs(np.diff(seen, axis=0)).max()
+    for motion in motions:
+        assert seen.min() <= motion.commands.target.min() and motion.commands.target.max() <= seen.max()
+        assert np.abs(np.diff(motion.commands.target, axis=0)).max() <= fastest
+    assert len({m.name for m in motions}) == len(motions) >= 5
+
+
+@pytest.mark.parametrize("rig", ["hexapod", "servo_bench"])
+def test_without_recordings_there_are_five_kinds_of_motion_within_the_rigs_range(rig):
+    motions = standard_motions(load_rig(rig), 3.0)
+    limit = JOINT_LIMIT if load_rig(rig).joint_names == JOINTS else load_rig(rig).joint_range
+    assert len({m.scenario.task for m in motions}) == 1 and len(motions) >= 5
+    assert all(np.abs(m.commands.target).max() <= limit + 1e-9 and m.scenario.duration == 3.0 for m in motions)
