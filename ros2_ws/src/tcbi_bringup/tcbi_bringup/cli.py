@@ -76,6 +76,7 @@ COMMANDS = (
     Command("replay", "record", "play bags into the running graph, at any speed"),
     Command("compare", "compare", "error of a model on bags, per signal and joint, beside the noise floor"),
     Command("diagnose", "explain", "which physical effect is missing: a ranking and a verdict"),
+    Command("selftest", "explain", "plant known effects in a model: which of them would a diagnosis find?"),
     Command("effects", "explain", "the library of physical effects; check one of your own"),
     Command("add", "explain", "make a new model version with an effect in it"),
     Command("remove", "explain", "make a new model version without one of its effects"),

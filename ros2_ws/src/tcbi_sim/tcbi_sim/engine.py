@@ -9,7 +9,7 @@ Parameters are physical values in the model's order. Results are bit-identical a
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -106,6 +106,7 @@ def simulate(
     threads: int = 0,
     chunk: int = CHUNK,
     progress: Callable[[float], None] | None = None,
+    solver: Mapping[str, Any] | None = None,
 ) -> SimulatedRollouts:
     """Roll out every parameter vector on every scenario.
 
@@ -121,6 +122,7 @@ def simulate(
       threads: 0 for all processors.
       chunk: simulations held in memory at a time; open loop and stateless controllers do not depend on it.
       progress: called with the share done.
+      solver: MuJoCo's options in place of the rig's, by name: `integrator`, `cone`, `impratio`.
 
     Raises:
       SimError: shapes that do not fit, or neither or both of commands and controller.
@@ -140,7 +142,7 @@ def simulate(
     for begin in range(0, len(rows), chunk):
         block = slice(begin, begin + chunk)
         picked = [scenarios[c] for c in columns[block]]
-        simulator = Simulator(model, parameters[rows[block]], picked, timestep, threads, rate)
+        simulator = Simulator(model, parameters[rows[block]], picked, timestep, threads, rate, solver)
         if controller is not None:
             parts.append(_closed_loop(simulator, controller, begin))
         else:
