@@ -25,6 +25,7 @@ from tcbi_sim.store import LATEST, ModelStore
 
 SCRATCH = "none"
 RESTARTS = 3  # of a subprocess that dies
+FINE_TUNING_STEPS = 57_600  # two minutes on one core
 POLL_S = 0.1
 Event = dict[str, Any]
 
@@ -69,7 +70,7 @@ def plan(job: Job) -> Run:
     start = _start(job, store.root)
     config = preset("fast", job.task)
     if start:
-        config = fine_tuning(config)
+        config = dataclasses.replace(fine_tuning(config), steps=min(config.steps, FINE_TUNING_STEPS))
     changes: dict[str, Any] = {"seed": job.seed, "budget_s": job.budget_s, "threads": job.threads}
     if job.budget_steps:
         changes["steps"] = job.budget_steps

@@ -1,0 +1,91 @@
+"""`./tcbi study`: the paper's experiment on emulated robots."""
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from tcbi_bringup.commands import console
+
+SUMMARY = (
+    "Does it transfer? Collect, infer by each method, retrain and deploy on emulated robots; what is done is kept."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """How much, and of what."""
+    parser.add_argument("--preset", default="hour", help="hour (on two cores; default) or full (days)")
+    parser.add_argument(
+        "--robots", default="", metavar="N,N", help="numbers of emulated robots (default: the preset's)"
+    )
+    parser.add_argument("--tasks", default="", help="balance, forward, or both with a comma (default: both)")
+    parser.add_argument("--methods", default="", metavar="NAME,NAME", help="default: the preset's")
+    parser.add_argument("--out", type=Path, help="folder of the study (default: study-PRESET in the store)")
+    parser.add_argument("--report", action="store_true", help="only write the tables of what is there already")
+    parser.add_argument("--threads", type=int, default=0, help="0 (default) for all processors")
+    console.add_store(parser)
+    console.add_json(parser)
+    console.add_examples(
+        parser,
+        "./tcbi study                                  # an hour on two cores; interrupted, the same command goes on",
+        "./tcbi study --tasks balance --robots 11 --methods fixed_dr,tcbi,tcbi_effect",
+        "./tcbi study --preset full --out study        # days; the report can be looked at meanwhile:",
+        "./tcbi study --preset full --out study --report",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Go on with the study, and write what there is."""
+    from tcbi_bringup.study import tables
+    from tcbi_bringup.study.experiment import Experiment
+    from tcbi_bringup.study.page import write
+    from tcbi_bringup.study.plan import chosen
+    from tcbi_bringup.study.robots import Laboratory
+
+    plan = chosen(args.preset, args.robots, args.tasks, args.methods)
+    folder = (args.out or console.store_folder(args.store) / f"study-{args.preset}").expanduser().absolute()
+    threads = args.threads or len(os.sched_getaffinity(0))
+    with Laboratory(threads) as laboratory:
+        experiment = Experiment(plan, folder, laboratory, threads)
+        findings = tables.Findings(plan, experiment.notebook)
+        if not args.report:
+            _work(experiment)
+        data = {"preset": args.preset, "folder": str(folder), **tables.everything(findings)}
+    (folder / "study.json").write_text(json.dumps(console.plain(data), indent=1) + "\n")
+    data["report"] = str(write(findings, folder / "study.html"))
+    if args.json:
+        console.emit(data)
+    else:
+        _print(data)
+    return 0
+
+
+def _work(experiment: Any) -> None:
+    """All pieces; those of an earlier run are only counted."""
+    pieces = list(experiment.pieces())
+    left = [piece for piece in pieces if piece not in experiment.notebook]
+    console.note(f"{len(pieces)} pieces of work, {len(pieces) - len(left)} of them done, in {experiment.folder}")
+    with console.progress("study", total=len(left)) as advance:
+        for number, piece in enumerate(left):
+            advance(done=number, note=" ".join(map(str, piece)))
+            experiment.do(piece)
+
+
+def _print(data: dict[str, Any]) -> None:
+    for task, found in data["tasks"].items():
+        rows = [
+            [r["label"], r["return"], r["return_sd"], f"{r['return_low95']:.0f} to {r['return_high95']:.0f}",
+             r["inclination_deg"], r["distance_cm"], r["divergence_nats"], r["rollouts"]]
+            for r in found["performance"]
+        ]  # fmt: skip
+        head = ["retrained on", "return", "sd", "95 %", "inclination / deg", "distance / cm", "divergence", "rollouts"]
+        console.table(f"{task}, on {len(data['robots'])} robots", head, rows)
+        rows = [
+            [r["label"], r.get("gain_returns"), r.get("p_returns"), r.get("p_returns_holm"), r.get("p_divergence")]
+            for r in found["comparisons"]
+        ]
+        console.table("TCBI against", ["", "gain in return", "p (Welch)", "p (Holm)", "p, divergence"], rows)
+    for line in data["notes"]:
+        print(line)
+    print(f"report: {data['report']}")

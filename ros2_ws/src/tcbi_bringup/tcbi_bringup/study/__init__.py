@@ -1,0 +1,1 @@
+"""Does it transfer? The paper's experiment, on emulated robots and faster than real time."""

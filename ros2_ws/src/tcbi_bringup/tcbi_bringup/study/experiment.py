@@ -1,0 +1,261 @@
+"""The experiment, piece by piece: collect, diagnose, infer, retrain, deploy, deploy under sensor noise.
+
+    experiment = Experiment(plan, folder, laboratory, threads=2)
+    for piece in experiment.pieces():
+        experiment.do(piece)
+
+Each piece is kept in the notebook when it is finished; rollouts and models lie in the study's folder. Everything is
+seeded by the piece, so that a study that was stopped and went on has the results of one that ran through.
+"""
+
+import dataclasses
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tcbi_bringup.demo.plan import slope_of
+from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
+from tcbi_bringup.study.notebook import Key, Notebook, Result
+from tcbi_bringup.study.plan import CONTESTANTS, FIRST, WINNER, Plan
+from tcbi_bringup.study.robots import Laboratory, Order
+from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_infer.bags.reader import read_measurements
+from tcbi_infer.collection import Request, scenario_of
+from tcbi_infer.diagnose.adopt import adopt
+from tcbi_infer.diagnose.diagnosis import diagnose
+from tcbi_infer.diagnose.evidence import EFFECT as EFFECT_FOUND
+from tcbi_infer.divergence import Binning, js_binned
+from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.method import find_method
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_policy.artefact import Policy, find_policy, save_policy
+from tcbi_policy.configuration import preset
+from tcbi_policy.environment import TIMESTEP_S
+from tcbi_policy.retraining import fine_tuning
+from tcbi_policy.reward import episode_reward, inclination, simulated_rewards
+from tcbi_policy.training import Training
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Measurement, Scenario
+from tcbi_sim.model import Model, base_model
+from tcbi_sim.store import ModelStore
+
+COLLECTING, DEPLOYING, MOTIONS = 1, 2, 3  # seeds of the scenarios
+DRAWS = 4  # simulations of each deployed scenario, for the divergence
+
+
+class Experiment:
+    """A study at work in its folder."""
+
+    def __init__(self, plan: Plan, folder: Path, laboratory: Laboratory, threads: int = 0):
+        folder.mkdir(parents=True, exist_ok=True)
+        self.plan, self.folder, self.laboratory, self.threads = plan, folder, laboratory, threads
+        self.notebook = Notebook(folder / "study.jsonl")
+        self.store = ModelStore(folder / "store")
+        self.strength = dict(plan.robots)
+
+    def pieces(self) -> Iterator[Key]:
+        """All pieces of work, robot by robot; each needs only those before it."""
+        for robot, _ in self.plan.robots:
+            if any(CONTESTANTS[name].with_effect for name in self.plan.contestants):
+                yield ("diagnose", robot)
+            for task in self.plan.tasks:
+                yield ("collect", task, robot)
+                yield ("deploy", task, robot, FIRST)
+                for name in self.plan.contestants:
+                    for stage in ("infer", "train", "deploy", "noise"):
+                        yield (stage, task, robot, name)
+
+    def do(self, piece: Key) -> Result:
+        """Do a piece, unless it is done."""
+        stage, *rest = piece
+        return self.notebook.once(piece, lambda: getattr(self, f"_{stage}")(*rest))
+
+    # -- the pieces -------------------------------------------------------------------------------------------------
+
+    def _collect(self, task: str, robot: int) -> Result:
+        plan = self.plan.tasks[task]
+        request = Request(task, plan.rollouts, seed=1000 * robot + COLLECTING)
+        orders = self._orders(robot, [scenario_of(request, i) for i in range(plan.rollouts)], plan.first_policy, 0)
+        rollouts = self.laboratory.run(orders)
+        self._write(self._rollouts_of(task, robot), rollouts)
+        return {
+            "returns": [episode_reward(m).total for m in rollouts],
+            "truth": EmulatedRobot(robot, None, self.strength[robot]).specimen.truth(),
+        }
+
+    def _diagnose(self, robot: int) -> Result:
+        """Motions for a diagnosis, as the demo records them, and the model that follows from it."""
+        plan, orders = self.plan.diagnosis, []
+        for i, gait in enumerate(plan.motions):
+            roll, pitch = slope_of(i)
+            request = Request(
+                "balance",
+                1,
+                1000 * robot + MOTIONS + i,
+                slope_roll=(roll,),
+                slope_pitch=(pitch,),
+                duration_s=plan.motion_s,
+            )
+            orders += [
+                Order(robot, self.strength[robot], scenario_of(request, 0), f"gait:{gait}", 2 * i + k) for k in (0, 1)
+            ]
+        rollouts = self.laboratory.run(orders)
+        model = base_model("hexapod")
+        found = diagnose(model, rollouts, uses=plan.effects, settings=plan.settings)
+        facts: Result = {
+            "verdict": found.verdict,
+            "effects": list(found.uses),
+            "statement": found.statement,
+            "model": "",
+        }
+        if found.verdict == EFFECT_FOUND:
+            facts["model"] = self.store.save(adopt(model, found.uses[0], found.to_json())).version
+        return facts
+
+    def _infer(self, task: str, robot: int, name: str) -> Result:
+        plan, contestant = self.plan.tasks[task], CONTESTANTS[name]
+        model = self._structure(robot, name)
+        if model is None:
+            return {"same_as": WINNER}
+        try:
+            method = find_method(contestant.method)
+        except InferError as e:
+            return {"left_out": str(e)}
+        rollouts = read_measurements([self._rollouts_of(task, robot)])
+        problem = Problem.of(
+            model, rollouts, statistics=contestant.statistics or method.statistics, policies=self.store.root,
+            threads=self.threads, seed=robot,
+        )  # fmt: skip
+        budget: dict[str, Any] = {"particles": plan.particles, "generations": plan.generations}
+        result = infer(problem, method.name, seed=robot, folder=self.store.folder("runs"), **budget)
+        saved = self.store.save(result.updated_model())
+        return {
+            "model": saved.version, "seconds": result.seconds, "simulations": result.simulations, "ess": result.ess,
+            "closed_loop": result.closed_loop, "generations": [_moments(g) for g in result.generations],
+            "estimates": [e.as_json() for e in result.estimates], "warnings": list(result.warnings),
+        }  # fmt: skip
+
+    def _train(self, task: str, robot: int, name: str) -> Result:
+        found = self._inferred(task, robot, name)
+        if "model" not in found:
+            return found
+        plan = self.plan.tasks[task]
+        start = find_policy(plan.first_policy, self.store.root)
+        assert isinstance(start, Policy)
+        config = dataclasses.replace(
+            fine_tuning(preset("fast", task)), steps=plan.steps, seed=robot, threads=self.threads
+        )
+        folder = self.store.folder("runs") / f"study-{task}-{robot}-{name}"
+        folder.mkdir(exist_ok=True)
+        training = Training(folder, config, self.store.load(found["model"]), start)
+        trained = training.run()
+        stem = self.store.root / "policies" / f"{task}-{robot}-{name}"
+        policy = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name))
+        shutil.rmtree(folder)
+        return {"policy": str(policy.path), "cpu_s": training.state.cpu, "curve": training.state.curve}
+
+    def _deploy(self, task: str, robot: int, name: str) -> Result:
+        plan = self.plan.tasks[task]
+        reference, model = self._policy(task, robot, name)
+        if reference is None:
+            return self._inferred(task, robot, name)
+        scenarios = self._deployed(task, robot)
+        rollouts = self.laboratory.run(self._orders(robot, scenarios, reference, 100))
+        ends = [float(np.degrees(inclination(_attitude(m)[-1]))) for m in rollouts]
+        policy = find_policy(reference, self.store.root)
+        assert isinstance(policy, Policy) and len(rollouts) == plan.deployments
+        return {
+            "returns": [episode_reward(m).total for m in rollouts],
+            "final_inclination_deg": ends,
+            "distance_m": [m.distance for m in rollouts],
+            "divergence": divergences(rollouts, policy, model, robot, self.threads),
+        }
+
+    def _noise(self, task: str, robot: int, name: str) -> Result:
+        reference, _ = self._policy(task, robot, name)
+        if reference is None:
+            return self._inferred(task, robot, name)
+        scenarios = self._deployed(task, robot)[: self.plan.tasks[task].noisy]
+        levels = {}
+        for sigma in self.plan.noise:
+            rollouts = self.laboratory.run(self._orders(robot, scenarios, reference, 200, sigma))
+            levels[f"{sigma:g}"] = [episode_reward(m).total for m in rollouts]
+        return {"returns": levels}
+
+    # -- what they share --------------------------------------------------------------------------------------------
+
+    def _orders(
+        self, robot: int, scenarios: list[Scenario], policy: str, first: int, sigma: float = 0.0
+    ) -> list[Order]:
+        return [Order(robot, self.strength[robot], s, policy, first + i, sigma) for i, s in enumerate(scenarios)]
+
+    def _deployed(self, task: str, robot: int) -> list[Scenario]:
+        """The scenarios that every policy meets on this robot."""
+        number = self.plan.tasks[task].deployments
+        request = Request(task, number, seed=1000 * robot + DEPLOYING)
+        return [scenario_of(request, i) for i in range(number)]
+
+    def _structure(self, robot: int, name: str) -> Model | None:
+        """The model whose parameters are inferred; None where no effect was found that it could have."""
+        if not CONTESTANTS[name].with_effect:
+            return base_model("hexapod")
+        diagnosed = self.notebook.get("diagnose", robot)
+        assert diagnosed is not None
+        return self.store.load(diagnosed["model"]) if diagnosed["model"] else None
+
+    def _inferred(self, task: str, robot: int, name: str) -> Result:
+        found = self.notebook.get("infer", task, robot, name)
+        assert found is not None
+        return found if "model" in found else {k: found[k] for k in ("same_as", "left_out") if k in found}
+
+    def _policy(self, task: str, robot: int, name: str) -> tuple[str | None, Model]:
+        """Where the policy of a contestant lies, None if there is none, and the model that it was trained on."""
+        if name == FIRST:
+            return self.plan.tasks[task].first_policy, base_model("hexapod")
+        found = self._inferred(task, robot, name)
+        if "model" not in found:
+            return None, base_model("hexapod")
+        trained = self.notebook.get("train", task, robot, name)
+        assert trained is not None
+        return trained["policy"], self.store.load(found["model"])
+
+    def _rollouts_of(self, task: str, robot: int) -> Path:
+        return self.folder / "rollouts" / f"{task}-{robot}"
+
+    @staticmethod
+    def _write(folder: Path, rollouts: list[Measurement]) -> None:
+        """All rollouts as bags, or none."""
+        part = folder.with_name(f".{folder.name}.part")
+        for stale in (part, folder):
+            shutil.rmtree(stale, ignore_errors=True)
+        for m in rollouts:
+            write_measurement(part, m)
+        part.rename(folder)
+
+
+def divergences(rollouts: list[Measurement], policy: Policy, model: Model, seed: int, threads: int = 0) -> list[float]:
+    """Jensen-Shannon divergence (nats) of each rollout's rewards from those that the model gives in its scenario."""
+    parameters = model.sample(np.random.default_rng([seed, 86028121]), DRAWS)
+    out = simulate(
+        model, parameters, [m.scenario for m in rollouts], controller=policy, timestep=TIMESTEP_S, threads=threads
+    )
+    simulated = simulated_rewards(out)  # (draws, rollouts, steps)
+    found = []
+    for i, m in enumerate(rollouts):
+        real, other = episode_reward(m).steps, simulated[:, i].ravel()
+        bins = Binning.of(real)
+        found.append(float(js_binned(bins.counts(real[None]), bins.counts(other[None]))[0]))
+    return found
+
+
+def _attitude(m: Measurement) -> np.ndarray:
+    assert m.attitude is not None
+    return m.attitude
+
+
+def _moments(generation: dict[str, Any]) -> dict[str, Any]:
+    return {key: generation[key] for key in ("generation", "ess", "mean", "variance", "variance_ratio")}

@@ -1,0 +1,205 @@
+"""The study's report: Tables 3 to 6 and Figures 6 to 13 of the paper, on one HTML page."""
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+from tcbi_bringup.study import tables
+from tcbi_bringup.study.plan import LABELS, WINNER
+from tcbi_bringup.study.tables import ENOUGH_ROBOTS, PARAMETERS, Findings
+from tcbi_infer.report import Report, Section, Table
+from tcbi_infer.report.page import Figure
+from tcbi_infer.report.plots import STYLE, WIDE, canvas, to_svg
+
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c949e", "#b8a800")
+SHOWN = {"inclination_deg": 2, "distance_cm": 1, "divergence_nats": 3}  # digits
+UNITS = {"friction": "friction", "mass": "mass / kg", "gain": "gain / (N m/rad)"}
+LEAD = (
+    "Each emulated robot has its own friction, mass, servo stiffness and a hidden effect, and its own physics. A first "
+    "policy collected rollouts; every method inferred the parameters from the same rollouts with the same number of "
+    "simulations; the policy was retrained on each posterior with the same budget and deployed on the robot in the "
+    "same scenarios. All that came out is shown, whoever wins."
+)
+WELCH = (
+    "Welch's t-test over all rollouts, as the paper has it. Rollouts on one robot resemble one another, so with few "
+    "robots its p values are too small."
+)
+WIDTH = (
+    "A smaller variance alone is no merit: a method may be narrow and wrong, which the error and the share of "
+    "intervals that hold the truth tell."
+)
+
+
+def write(findings: Findings, path: Path) -> Path:
+    """Write the report; returns its path."""
+    report = Report("Does it transfer?", LEAD)
+    data = tables.everything(findings)
+    report.add(Section("In short", notes=[*_short(findings, data), *data["notes"]]))
+    for task in findings.plan.tasks:
+        if findings.names(task):
+            _performance(report, findings, task, data["tasks"][task])
+        if data["tasks"][task]["variance_reduction"]:
+            _inference(report, findings, task, data["tasks"][task])
+    return report.write(path)
+
+
+def _short(findings: Findings, data: dict[str, Any]) -> list[str]:
+    lines = []
+    for task, found in data["tasks"].items():
+        ranked = sorted(found["performance"], key=lambda row: -row["return"])
+        if ranked:
+            best = ", ".join(f"{row['label']} {row['return']:.0f}" for row in ranked)
+            lines.append(f"{task}, mean return: {best}.")
+        effect = found["effect"]
+        if effect:
+            lines.append(
+                f"{task}: with the missing effect in the model the return is {effect['with']:.0f} against "
+                f"{effect['without']:.0f} without, a gain of {effect['gain']:.0f} ({effect['low95']:.0f} to "
+                f"{effect['high95']:.0f}) on {effect['robots']} robots."
+            )
+    few = len(findings.robots) < ENOUGH_ROBOTS
+    lines.append(
+        "Intervals are 95 %, from resampling the rollouts of these robots; they say nothing of other robots."
+        if few
+        else "Intervals are 95 %, from resampling robots and the rollouts of each."
+    )
+    return lines
+
+
+def _performance(report: Report, findings: Findings, task: str, found: dict[str, Any]) -> None:
+    rows = found["performance"]
+    head = [
+        "policy retrained on",
+        "return",
+        "95 %",
+        "final inclination / deg",
+        "distance / cm",
+        "divergence / nats",
+        "n",
+    ]
+    cells = [
+        [r["label"], _spread(r, "return", 0), f"{r['return_low95']:.0f} to {r['return_high95']:.0f}",
+         *(_spread(r, key, digits) for key, digits in SHOWN.items()), r["rollouts"]]
+        for r in rows
+    ]  # fmt: skip
+    number = {"balance": "Table 4", "forward": "Table 5"}.get(task, "Performance")
+    report.add(
+        Section(f"{task}: performance on the robot ({number})", table=Table(head, cells, "mean ± standard deviation"))
+    )
+    welch = [
+        [r["label"], r.get("gain_returns"), _range(r, "gain_returns"), _p(r, "p_returns"), _p(r, "p_returns_holm"),
+         r.get("gain_divergence"), _p(r, "p_divergence"), _p(r, "p_divergence_holm")]
+        for r in found["comparisons"]
+    ]  # fmt: skip
+    head = [
+        f"{LABELS[WINNER]} against",
+        "gain in return",
+        "95 %",
+        "p",
+        "p (Holm)",
+        "gain in divergence",
+        "p",
+        "p (Holm)",
+    ]
+    spread = {
+        LABELS[n]: np.concatenate(list(findings.values(task, n, "divergence").values())) for n in findings.names(task)
+    }
+    caption = "Figure 9 or 10: divergence with each policy"
+    shown = [Figure(boxes(spread, "divergence of rewards, robot to simulation / nats"), caption, True)]
+    if found["noise"]:
+        shown.append(
+            Figure(lines_of_noise(found["noise"]), "Figure 12 or 13: return under noise on what the policy sees", True)
+        )
+    report.add(Section(f"{task}: who differs (Table 6)", text=[WELCH], table=Table(head, welch), figures=shown))
+
+
+def _inference(report: Report, findings: Findings, task: str, found: dict[str, Any]) -> None:
+    head = ["method", "parameter", "variance less than prior", "error of the mean", "truth inside 90 %", "robots"]
+    rows = [
+        [
+            r["label"],
+            r["parameter"],
+            f"{r['variance_reduction']:.0%}",
+            f"{r['relative_error']:.0%}",
+            f"{r['truth_in_90']:.0%}",
+            r["robots"],
+        ]
+        for r in found["variance_reduction"]
+    ]
+    shown = []
+    for i, parameter in enumerate(PARAMETERS):
+        for which, axis in ((0, UNITS[parameter]), (1, f"variance of {parameter} / prior's")):
+            caption = (
+                f"Figures 6 to 8: {'mean' if which == 0 else 'variance'} of {parameter} by generation, mean over robots"
+            )
+            shown.append(Figure(generations(findings, task, i, which, axis), caption))
+    shown.append(Figure(bars_of_time(found["seconds"]), "Figure 11: wall time of a generation", True))
+    report.add(Section(f"{task}: inference (Table 3)", text=[WIDTH], table=Table(head, rows), figures=shown))
+
+
+def _spread(row: dict[str, Any], key: str, digits: int) -> str:
+    return f"{row[key]:.{digits}f} ± {row[f'{key}_sd']:.{digits}f}"
+
+
+def _range(row: dict[str, Any], key: str) -> str:
+    return f"{row[f'{key}_low95']:.0f} to {row[f'{key}_high95']:.0f}" if f"{key}_low95" in row else "–"
+
+
+def _p(row: dict[str, Any], key: str) -> str:
+    return f"{row[key]:.2g}" if key in row else "–"
+
+
+def generations(findings: Findings, task: str, parameter: int, which: int, axis: str) -> str:
+    """Mean or variance of one parameter over the generations of each method."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(2.6)
+        for name, color in zip(findings.plan.contestants, COLORS, strict=False):
+            found = tables.progress_of(findings, task, name)
+            if found is not None:
+                values = found[which][:, :, parameter].mean(axis=0)
+                axes.plot(np.arange(1, len(values) + 1), values, "o-", ms=3, lw=1.2, color=color, label=LABELS[name])
+        axes.set_xlabel("generation")
+        axes.set_ylabel(axis)
+        axes.legend(fontsize=6)
+        return to_svg(figure)
+
+
+def boxes(values: dict[str, np.ndarray], axis: str) -> str:
+    """Distributions side by side, by label."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(0.8 + 0.36 * len(values), WIDE)
+        axes.boxplot([v[np.isfinite(v)] for v in values.values()], orientation="horizontal", widths=0.6)
+        axes.set_yticks(np.arange(1, len(values) + 1), list(values))
+        axes.invert_yaxis()
+        axes.set_xlabel(axis)
+        return to_svg(figure)
+
+
+def lines_of_noise(rows: tables.Rows) -> str:
+    """Return over noise with intervals, a line for each method."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(3.0, WIDE)
+        for name, color in zip(dict.fromkeys(r["name"] for r in rows), COLORS, strict=False):
+            mine = [r for r in rows if r["name"] == name]
+            sigma, mean = ([r[key] for r in mine] for key in ("sigma", "return"))
+            axes.fill_between(
+                sigma, [r["low95"] for r in mine], [r["high95"] for r in mine], color=color, alpha=0.12, lw=0
+            )
+            axes.plot(sigma, mean, "o-", ms=3, color=color, label=LABELS[name])
+        axes.set_xlabel("noise on joint angles and attitude / rad")
+        axes.set_ylabel("return")
+        axes.legend(fontsize=7)
+        return to_svg(figure)
+
+
+def bars_of_time(rows: tables.Rows) -> str:
+    """Wall time of a generation of each method."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = canvas(0.6 + 0.3 * len(rows), WIDE)
+        axes.barh(np.arange(len(rows)), [r["seconds"] for r in rows], color=COLORS[0], height=0.6)
+        axes.set_yticks(np.arange(len(rows)), [r["label"] for r in rows])
+        axes.invert_yaxis()
+        axes.set_xlabel("wall time of a generation / s")
+        return to_svg(figure)

@@ -1,0 +1,130 @@
+"""What a study does: robots, tasks, methods, and how much of everything."""
+
+import dataclasses
+from dataclasses import dataclass
+
+from tcbi_bringup.demo import plan as demo
+from tcbi_bringup.errors import BringupError
+from tcbi_contract.errors import describe
+
+FIRST = "first"  # the policy that everybody starts from, not retrained
+EFFECT = "tcbi_effect"
+WINNER = "tcbi"  # the method that the others are tested against
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A way to the posterior that a policy is retrained on."""
+
+    label: str
+    method: str  # by the name that `./tcbi infer --method` knows
+    statistics: tuple[str, ...] = ()  # instead of the method's own
+    with_effect: bool = False  # in the model with the effect that the diagnosis found
+
+
+CONTESTANTS = {
+    "fixed_dr": Contestant("fixed randomisation", "prior"),
+    "abc": Contestant("ABC", "abc_smc"),
+    "simopt": Contestant("SimOpt", "simopt"),
+    "bayesopt": Contestant("Bayesian optimisation", "bayesopt"),
+    "tcbi_reward": Contestant("TCBI, reward only", "calibrated", ("reward",)),
+    "tcbi_paper": Contestant("TCBI as published", "paper"),
+    WINNER: Contestant("TCBI", "calibrated"),
+    EFFECT: Contestant("TCBI with the effect", "calibrated", with_effect=True),
+}
+LABELS = {FIRST: "first policy", **{name: c.label for name, c in CONTESTANTS.items()}}
+
+
+@dataclass(frozen=True)
+class TaskPlan:
+    """How much of one task.
+
+    Attributes:
+      first_policy: collects the rollouts, and is where every retraining starts.
+      rollouts: that are collected of each robot.
+      particles, generations: of an inference, the same for every method.
+      steps: of each retraining, of all simulations together.
+      deployments: of each retrained policy on the robot.
+      noisy: deployments under each level of sensor noise.
+    """
+
+    first_policy: str
+    rollouts: int
+    particles: int
+    generations: int
+    steps: int
+    deployments: int
+    noisy: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The whole study.
+
+    Attributes:
+      robots: number and strength of what is hidden in each; which effect follows from the number.
+      contestants: names in CONTESTANTS.
+      noise: rad, standard deviations of Figures 12 and 13.
+      diagnosis: which of the demo's plans the effect is looked for with.
+    """
+
+    tasks: dict[str, TaskPlan]
+    robots: tuple[tuple[int, str], ...]
+    contestants: tuple[str, ...] = tuple(CONTESTANTS)
+    noise: tuple[float, ...] = (0.02, 0.04, 0.06, 0.08)
+    diagnosis: demo.Plan = demo.QUICK
+
+
+HOUR = Plan(
+    {
+        "balance": TaskPlan("balance-early", 10, 32, 5, 20_480, 30, 5),
+        "forward": TaskPlan("forward", 8, 24, 4, 24_000, 30, 3),
+    },
+    ((11, "strong"), (12, "strong")),
+    tuple(name for name in CONTESTANTS if name != "tcbi_paper"),
+)
+FULL = Plan(
+    {
+        "balance": TaskPlan("balance-early", 20, 50, 15, 81_920, 30, 30),
+        "forward": TaskPlan("forward", 20, 50, 15, 110_400, 30, 30),
+    },
+    tuple((seed, "strong") for seed in range(11, 19)),
+    diagnosis=demo.FULL,
+)
+PRESETS = {"hour": HOUR, "full": FULL}
+
+
+def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = "") -> Plan:
+    """A preset, or a part of it.
+
+    Args:
+      preset: by name.
+      robots: numbers with commas; empty for the preset's.
+      tasks: names with commas.
+      contestants: names with commas.
+
+    Raises:
+      BringupError: an unknown preset, task or method, or a robot that is no number.
+    """
+    if preset not in PRESETS:
+        raise BringupError(describe("preset", preset, "one of " + ", ".join(PRESETS)))
+    plan = PRESETS[preset]
+    if robots:
+        numbers = [text.strip() for text in robots.split(",")]
+        if not all(number.isdecimal() for number in numbers):
+            raise BringupError(describe("robots", robots, "numbers from 0 on, with commas"))
+        plan = dataclasses.replace(plan, robots=tuple((int(number), "strong") for number in numbers))
+    if tasks:
+        names = _known(tasks, "task of the study", plan.tasks)
+        plan = dataclasses.replace(plan, tasks={name: plan.tasks[name] for name in names})
+    if contestants:
+        plan = dataclasses.replace(plan, contestants=tuple(_known(contestants, "method of the study", CONTESTANTS)))
+    return plan
+
+
+def _known(text: str, what: str, names: dict) -> list[str]:
+    wanted = [name.strip() for name in text.split(",")]
+    unknown = [name for name in wanted if name not in names]
+    if unknown:
+        raise BringupError(describe(what, ", ".join(unknown), "one of " + ", ".join(names)))
+    return wanted

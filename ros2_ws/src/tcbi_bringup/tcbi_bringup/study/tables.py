@@ -1,0 +1,238 @@
+"""From what was found to the paper's Tables 3 to 6, as plain data.
+
+Every row says on how many robots and rollouts it stands. Intervals are 95 %, from resampling robots (where there are
+three or more) and the rollouts within them; with fewer robots they speak of these robots alone, and the tables say so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import ttest_ind
+
+from tcbi_bringup.study.notebook import Notebook, Result
+from tcbi_bringup.study.plan import EFFECT, FIRST, LABELS, WINNER, Plan
+
+RESAMPLES = 4000
+ENOUGH_ROBOTS = 3  # below which robots are not resampled
+PARAMETERS = ("friction", "mass", "gain")
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the notebook holds of a plan, by contestant."""
+
+    plan: Plan
+    notebook: Notebook
+
+    @property
+    def robots(self) -> list[int]:
+        """Numbers."""
+        return [robot for robot, _ in self.plan.robots]
+
+    def result(self, stage: str, task: str, robot: int, name: str) -> Result | None:
+        """A piece's result, or that of the contestant that it is the same as; None where it is not there."""
+        found = self.notebook.get(stage, task, robot, name)
+        if found and "same_as" in found:
+            found = self.notebook.get(stage, task, robot, found["same_as"])
+        return None if found is None or "left_out" in found else found
+
+    def values(self, task: str, name: str, what: str) -> dict[int, np.ndarray]:
+        """Robot -> what its deployments gave, in the order of the scenarios."""
+        found = {robot: self.result("deploy", task, robot, name) for robot in self.robots}
+        return {robot: np.array(r[what], float) for robot, r in found.items() if r is not None}
+
+    def names(self, task: str) -> list[str]:
+        """Contestants that have deployed at least once, the first policy before all."""
+        return [n for n in (FIRST, *self.plan.contestants) if self.values(task, n, "returns")]
+
+    def left_out(self) -> list[str]:
+        """Why a contestant does not take part, and what each diagnosis said."""
+        lines: dict[str, None] = {}
+        for robot in self.robots:
+            diagnosed = self.notebook.get("diagnose", robot)
+            if diagnosed:
+                lines[f"robot {robot}: {diagnosed['statement']}"] = None
+            for task in self.plan.tasks:
+                for name in self.plan.contestants:
+                    found = self.notebook.get("infer", task, robot, name) or {}
+                    if "left_out" in found:
+                        lines[f"{LABELS[name]} left out: {found['left_out']}"] = None
+                    if "same_as" in found:
+                        lines[f"robot {robot}: no effect was added, so {LABELS[name]} is {LABELS[WINNER]} there"] = None
+        return list(lines)
+
+
+def interval(parts: Sequence[np.ndarray], rng: np.random.Generator | None = None) -> tuple[float, float]:
+    """95 % interval of the mean of values of several robots, by resampling."""
+    rng = rng or np.random.default_rng(0)
+    parts = [p[np.isfinite(p)] for p in parts]
+    parts = [p for p in parts if len(p)]
+    if not parts:
+        return float("nan"), float("nan")
+    means = np.empty(RESAMPLES)
+    for k in range(RESAMPLES):
+        picked = rng.integers(len(parts), size=len(parts)) if len(parts) >= ENOUGH_ROBOTS else np.arange(len(parts))
+        means[k] = np.mean([np.mean(rng.choice(parts[i], len(parts[i]))) for i in picked])
+    low, high = np.quantile(means, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def performance(findings: Findings, task: str) -> Rows:
+    """Tables 4 and 5: return, final inclination and distance of each contestant's policy on the robots."""
+    rows = []
+    for name in findings.names(task):
+        row: dict[str, Any] = {"name": name, "label": LABELS[name]}
+        for what, factor, key in (
+            ("returns", 1.0, "return"),
+            ("final_inclination_deg", 1.0, "inclination_deg"),
+            ("distance_m", 100.0, "distance_cm"),
+            ("divergence", 1.0, "divergence_nats"),
+        ):
+            parts = [factor * v for v in findings.values(task, name, what).values()]
+            pooled = np.concatenate(parts)
+            row |= {key: float(np.nanmean(pooled)), f"{key}_sd": float(np.nanstd(pooled, ddof=1))}
+            row[f"{key}_low95"], row[f"{key}_high95"] = interval(parts)
+        rows.append(row | {"robots": len(parts), "rollouts": len(pooled)})
+    return rows
+
+
+def comparisons(findings: Findings, task: str, rival: str = WINNER) -> Rows:
+    """Table 6: Welch's t-test of each contestant against one, of return and divergence, with Holm's correction.
+
+    Only robots that both have deployed on count. `gain` is the rival's mean return minus the contestant's.
+    """
+    ours = {what: findings.values(task, rival, what) for what in ("returns", "divergence")}
+    rows: Rows = []
+    for name in findings.names(task):
+        if name == rival or not ours["returns"]:
+            continue
+        row: dict[str, Any] = {"name": name, "label": LABELS[name], "rival": LABELS[rival]}
+        for what in ours:
+            theirs = findings.values(task, name, what)
+            both = sorted(set(theirs) & set(ours[what]))
+            if not both:
+                continue
+            a, b = (np.concatenate([side[robot] for robot in both]) for side in (ours[what], theirs))
+            row[f"p_{what}"] = float(ttest_ind(a, b, equal_var=False, nan_policy="omit").pvalue)
+            differences = [ours[what][robot] - theirs[robot] for robot in both]
+            low, high = interval(differences)
+            row |= {f"gain_{what}": float(np.nanmean(np.concatenate(differences))), "robots": len(both)}
+            row |= {f"gain_{what}_low95": low, f"gain_{what}_high95": high}
+        rows.append(row)
+    for what in ("returns", "divergence"):
+        _holm(rows, f"p_{what}")
+    return rows
+
+
+def _holm(rows: Rows, key: str) -> None:
+    """Beside each p value the one that is corrected for how many comparisons there are (Holm)."""
+    order = sorted((r for r in rows if key in r), key=lambda r: r[key])
+    least = 0.0
+    for rank, row in enumerate(order):
+        least = max(least, min(1.0, row[key] * (len(order) - rank)))
+        row[f"{key}_holm"] = least
+
+
+def effect_gain(findings: Findings, task: str) -> dict[str, Any] | None:
+    """Beyond the paper: the return with the missing effect in the model against without, where one was found."""
+    with_effect, without = findings.values(task, EFFECT, "returns"), findings.values(task, WINNER, "returns")
+    found = [r for r in findings.robots if (findings.notebook.get("diagnose", r) or {}).get("model")]
+    both = [r for r in found if r in with_effect and r in without]
+    if not both:
+        return None
+    parts = [with_effect[r] - without[r] for r in both]
+    low, high = interval(parts)
+    means = {
+        "with": np.mean([with_effect[r].mean() for r in both]),
+        "without": np.mean([without[r].mean() for r in both]),
+    }
+    return {
+        "robots": len(both),
+        **means,
+        "gain": float(np.mean([p.mean() for p in parts])),
+        "low95": low,
+        "high95": high,
+    }
+
+
+def variance_reduction(findings: Findings, task: str) -> Rows:
+    """Table 3: how much less variance than the prior, and beyond it the error of the mean as a share of the truth."""
+    rows = []
+    for name in findings.plan.contestants:
+        found = {robot: findings.result("infer", task, robot, name) for robot in findings.robots}
+        usable = {robot: r for robot, r in found.items() if r is not None}
+        for parameter in PARAMETERS if usable else ():
+            reductions, errors, inside = [], [], []
+            for robot, r in usable.items():
+                e = next(e for e in r["estimates"] if e["name"] == parameter)
+                truth = (findings.notebook.get("collect", task, robot) or {})["truth"][parameter]
+                reductions.append(1 - e["variance_ratio"])
+                errors.append(abs(e["mean"] - truth) / truth)
+                inside.append(e["low90"] <= truth <= e["high90"])
+            rows.append({
+                "name": name, "label": LABELS[name], "parameter": parameter, "robots": len(usable),
+                "variance_reduction": float(np.mean(reductions)), "relative_error": float(np.mean(errors)),
+                "truth_in_90": float(np.mean(inside)),
+            })  # fmt: skip
+    return rows
+
+
+def seconds(findings: Findings, task: str) -> Rows:
+    """Figure 11: wall time of a generation of each method."""
+    rows = []
+    for name in findings.plan.contestants:
+        found = [findings.result("infer", task, robot, name) for robot in findings.robots]
+        each = [r["seconds"] / max(1, len(r["generations"])) for r in found if r]
+        if each:
+            rows.append({"name": name, "label": LABELS[name], "seconds": float(np.mean(each)), "robots": len(each)})
+    return rows
+
+
+def noise(findings: Findings, task: str) -> Rows:
+    """Figures 12 and 13: returns under noise on what the policy sees."""
+    rows = []
+    for name in findings.plan.contestants:
+        for sigma in findings.plan.noise:
+            found = [findings.result("noise", task, robot, name) for robot in findings.robots]
+            parts = [np.array(r["returns"][f"{sigma:g}"], float) for r in found if r]
+            if parts:
+                low, high = interval(parts)
+                pooled = np.concatenate(parts)
+                rows.append({
+                    "name": name, "label": LABELS[name], "sigma": sigma, "return": float(np.nanmean(pooled)),
+                    "return_sd": float(np.nanstd(pooled)), "low95": low, "high95": high, "rollouts": len(pooled),
+                })  # fmt: skip
+    return rows
+
+
+def progress_of(findings: Findings, task: str, name: str) -> tuple[np.ndarray, np.ndarray] | None:
+    """Figures 6 to 8: (robots, generations, P) mean and variance ratio; generations after the last repeat it."""
+    found = [findings.result("infer", task, robot, name) for robot in findings.robots]
+    runs = [r["generations"] for r in found if r and r["generations"]]
+    if not runs:
+        return None
+    length = max(map(len, runs))
+    stacked = [
+        np.array([[g[key][: len(PARAMETERS)] for g in run + [run[-1]] * (length - len(run))] for run in runs], float)
+        for key in ("mean", "variance_ratio")
+    ]
+    return stacked[0], stacked[1]
+
+
+def everything(findings: Findings) -> dict[str, Any]:
+    """All tables of all tasks, for the JSON."""
+    tasks = {
+        task: {
+            "performance": performance(findings, task),
+            "comparisons": comparisons(findings, task),
+            "effect": effect_gain(findings, task),
+            "variance_reduction": variance_reduction(findings, task),
+            "seconds": seconds(findings, task),
+            "noise": noise(findings, task),
+        }
+        for task in findings.plan.tasks
+    }
+    return {"robots": findings.robots, "tasks": tasks, "notes": findings.left_out()}

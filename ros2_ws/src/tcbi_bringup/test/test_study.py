@@ -1,0 +1,103 @@
+"""The study: what is done is kept, what is cut off is done again, and the tables say what the rollouts say."""
+
+import functools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tcbi_bringup.errors import BringupError
+from tcbi_bringup.study import tables
+from tcbi_bringup.study.experiment import Experiment
+from tcbi_bringup.study.notebook import Notebook
+from tcbi_bringup.study.page import write
+from tcbi_bringup.study.plan import CONTESTANTS, EFFECT, FIRST, PRESETS, WINNER, Plan, TaskPlan, chosen
+from tcbi_bringup.study.robots import Laboratory
+from tcbi_infer.tcbi.method import METHODS
+
+TINY = Plan(
+    {"balance": TaskPlan("balance-early", 2, 10, 1, 1280, 2, 1)}, ((11, "strong"),), ("fixed_dr", WINNER), (0.05,)
+)
+
+
+def test_a_study_goes_on_where_it_was_and_does_nothing_twice(tmp_path: Path) -> None:
+    notebook = Notebook(tmp_path / "study.jsonl")
+    assert notebook.once(("train", "balance", 1), lambda: {"x": np.float64(1.5)})["x"] == 1.5
+    with (tmp_path / "study.jsonl").open("a") as file:
+        file.write('{"key": ["train", "bal')  # the power failed here
+    again = Notebook(tmp_path / "study.jsonl")
+    assert ("train", "balance", 1) in again and again.get("train", "balance", 1) == notebook.get("train", "balance", 1)
+    again.once(("train", "balance", 2), lambda: {"x": 2})
+    again.once(("train", "balance", 1), lambda: pytest.fail("done twice"))
+    assert [json.loads(line)["key"][-1] for line in (tmp_path / "study.jsonl").read_text().splitlines()] == [1, 2]
+
+
+def test_every_contestant_infers_by_a_method_that_there_is_and_needs_only_earlier_pieces(tmp_path: Path) -> None:
+    assert {c.method for c in CONTESTANTS.values()} <= set(METHODS)
+    for name in PRESETS:
+        pieces = list(Experiment(chosen(name), tmp_path, Laboratory(1)).pieces())
+        assert len(set(pieces)) == len(pieces)
+        for i, (stage, *rest) in enumerate(pieces):
+            if stage == "infer":
+                task, robot, method = rest
+                earlier = [("collect", task, robot), *([("diagnose", robot)] if method == EFFECT else [])]
+                assert set(earlier) <= set(pieces[:i])
+            if stage in ("train", "noise") or (stage == "deploy" and rest[-1] != FIRST):
+                assert ("infer", *rest) in pieces[:i]
+
+
+def test_a_part_of_a_preset_can_be_chosen_and_what_is_unknown_is_named() -> None:
+    plan = chosen("hour", robots="7,9", tasks="balance", contestants="tcbi,abc")
+    assert plan.robots == ((7, "strong"), (9, "strong")) and list(plan.tasks) == ["balance"]
+    assert plan.contestants == ("tcbi", "abc")
+    for wrong in ({"preset": "day"}, {"robots": "a"}, {"tasks": "dance"}, {"contestants": "magic"}):
+        with pytest.raises(BringupError, match=next(iter(wrong.values()))):
+            chosen(**{"preset": "hour", **wrong})
+
+
+def invented(folder: Path, gain: float) -> tables.Findings:
+    """Deployments of two contestants on four robots, the second one better by `gain` on average."""
+    rng = np.random.default_rng(0)
+    plan = Plan({"balance": TINY.tasks["balance"]}, tuple((r, "strong") for r in range(4)), ("fixed_dr", WINNER))
+    notebook = Notebook(folder / "study.jsonl")
+    for robot in range(4):
+        for name, mean in (("fixed_dr", 400.0), (WINNER, 400.0 + gain)):
+            others = {what: rng.random(30) for what in ("final_inclination_deg", "distance_m", "divergence")}
+            deployed = {"returns": rng.normal(mean, 100.0, 30), **others}
+            notebook.once(("deploy", "balance", robot, name), functools.partial(dict, deployed))
+    return tables.Findings(plan, notebook)
+
+
+def test_a_difference_shows_in_welchs_test_and_in_the_interval(tmp_path: Path) -> None:
+    (row,) = tables.comparisons(invented(tmp_path, 60.0), "balance")
+    assert row["p_returns"] < 1e-3 and row["gain_returns_low95"] > 0 and row["robots"] == 4
+    assert row["gain_returns_low95"] < row["gain_returns"] < row["gain_returns_high95"]
+
+
+def test_where_there_is_no_difference_none_is_claimed(tmp_path: Path) -> None:
+    (row,) = tables.comparisons(invented(tmp_path, 0.0), "balance")
+    assert row["p_returns"] > 0.05 and row["gain_returns_low95"] < 0 < row["gain_returns_high95"]
+
+
+def test_holms_correction_is_the_textbooks() -> None:
+    rows = [{"p": p} for p in (0.01, 0.04, 0.03)]
+    tables._holm(rows, "p")
+    assert [r["p_holm"] for r in rows] == pytest.approx([0.03, 0.06, 0.06])
+
+
+@pytest.mark.slow
+def test_the_whole_experiment_runs_once_and_ends_in_tables_and_figures(tmp_path: Path) -> None:
+    with Laboratory(1) as laboratory:
+        experiment = Experiment(TINY, tmp_path, laboratory, threads=1)
+        for piece in experiment.pieces():
+            experiment.do(piece)
+        findings = tables.Findings(TINY, Notebook(tmp_path / "study.jsonl"))
+    found = tables.everything(findings)["tasks"]["balance"]
+    assert [row["name"] for row in found["performance"]] == [FIRST, "fixed_dr", WINNER]
+    assert all(row["rollouts"] == 2 and np.isfinite(row["return"]) for row in found["performance"])
+    assert [row["sigma"] for row in found["noise"]] == [0.05, 0.05]
+    fixed = [row for row in found["variance_reduction"] if row["name"] == "fixed_dr"]
+    assert all(abs(row["variance_reduction"]) < 0.3 for row in fixed)
+    page = write(findings, tmp_path / "study.html").read_text()
+    assert all(f"Figure{what}" in page for what in ("s 6 to 8", " 9", " 11", " 12")) and "Table 6" in page
