@@ -12,7 +12,8 @@ import numpy as np
 
 from tcbi_infer.compare.replicates import Replicates
 from tcbi_infer.diagnose.evidence import DetectableSize, NextMotion
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, gram
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.motions import Motion
 from tcbi_infer.diagnose.problem import Problem
 

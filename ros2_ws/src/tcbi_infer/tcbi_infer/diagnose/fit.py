@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tcbi_infer.diagnose.least_squares import bounded_step, gram
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import Model
 
@@ -18,13 +19,17 @@ STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
 TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with each step
 TOGETHER_STEP = 0.04  # of a range: only while the steps are as wide as this
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
+SCALINGS = (0.5, 0.7, 1.4, 2.0)  # of all forces and masses, to others
+RACERS = 2  # far points that are fitted a little on few sets before one is chosen
+RACE = (0.08, 0.08, 0.05, 0.05)  # steps of their finite differences
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
-POLISH = (0.02, 0.02, 0.02, 0.02)  # with known slopes their sizes say only that they may end the fit
-POLISH_STRETCH = (2.0, 1.0, 0.5, 0.25)
+POLISH = (0.02, 0.02, 0.02)  # with known slopes their sizes say only that they may end the fit
+CLOSE = (0.03, 0.03, 0.03)  # of a range, where slopes are taken once more
+POLISH_STRETCH = (2.0, 1.0, 0.4)
 REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
 FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
 
@@ -184,7 +189,7 @@ class Fitter:
         Args:
           starts: (N, P) in [0, 1].
           nuisance: (Q,) to start from.
-          steps: of the finite differences, one for each iteration.
+          steps: of the finite differences, one for each iteration; equal ones in a row share their slopes.
           stretch: multiples of each step that are tried together.
           known: slopes and bends from elsewhere, which then serve for all iterations.
         """
@@ -193,9 +198,12 @@ class Fitter:
         residual = self.residual(predicted, delta)
         scale = self.scales(residual)
         converged = False
-        jacobian, bend = np.zeros((*residual.shape, len(unit))), np.zeros_like(residual)
+        jacobian, bend = known or (np.zeros((*residual.shape, len(unit))), np.zeros_like(residual))
+        last = 0.0
         for step in steps:
-            jacobian, bend = known or self.slopes(unit, predicted, step)
+            if known is None and step != last:
+                jacobian, bend = self.slopes(unit, predicted, step)
+            last = step
             before = self._total(residual, delta, scale)
             move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
             trials, trial_deltas = self._trials(unit, delta, move, move_delta, stretch, step >= TOGETHER_STEP)
@@ -237,23 +245,28 @@ class Fitter:
         return np.array(trials + together), deltas + [delta + move_delta] * len(together)
 
     def escape(self, fit: Fit, count: int, steps: Sequence[float]) -> Fit:
-        """The fit, or a better one begun far off along one of the first `count` parameters.
+        """The fit, or a better one begun far off: along one of the first `count` parameters, or all forces scaled.
 
-        Whether a foot slips or sticks turns at some friction, so the loss has several valleys along it.
+        Whether a foot slips or sticks turns at some friction, and a stiffer and heavier robot moves nearly alike, so
+        the loss has several valleys. They are narrow: a far point says little before it has been fitted a little.
         """
-        far = np.array([at_level(fit.unit, p, fit.unit[p] + leap) for p in range(count) for leap in LEAPS])
-        far = far[np.abs(far - fit.unit).max(axis=1) > min(np.abs(LEAPS)) / 2]
-        losses = self.start_losses(self.predict(far), fit.nuisance)
-        (here,) = self.start_losses(fit.predicted[None], fit.nuisance)
-        best = int(np.argmin(losses))
-        if not losses[best] < here:
+        far = [at_level(fit.unit, p, fit.unit[p] + leap) for p in range(count) for leap in LEAPS]
+        far += [scaled_together(self.model, fit.unit, factor) for factor in SCALINGS]
+        starts = np.array([f for f in far if np.abs(f - fit.unit).max() > min(np.abs(LEAPS)) / 4])
+        few = self.on_few_sets()
+        order = np.argsort(few.start_losses(few.predict(starts), fit.nuisance))[:RACERS]
+        raced = [few.run(starts[i][None], fit.nuisance, RACE) for i in order]
+        best = min(raced, key=lambda f: f.total)
+        here = few.run(fit.unit[None], fit.nuisance, ())
+        if not best.total < here.total or np.abs(best.unit - fit.unit).max() < SMALL_STEP:
             return fit
-        other = self.run(far[best][None], fit.nuisance, steps)
-        return other if self.start_losses(other.predicted[None], other.nuisance)[0] < here else fit
+        other = self.run(best.unit[None], fit.nuisance, steps)
+        return other if other.total < fit.total else fit
 
     def polish(self, fit: Fit) -> Fit:
-        """A fit at another time step carried on at this one, with its slopes, which hardly depend on the step."""
+        """A fit at another time step carried on at this one, first with its slopes, then with slopes of this step."""
         fine = self.run(fit.unit[None], fit.nuisance, POLISH, POLISH_STRETCH, known=(fit.jacobian, fit.bend))
+        fine = self.run(fine.unit[None], fine.nuisance, CLOSE, POLISH_STRETCH)
         return dataclasses.replace(fine, converged=fit.converged)
 
     def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
@@ -351,53 +364,3 @@ def probe(unit: np.ndarray, step: float) -> np.ndarray:
             sizes = (step, 2 * step)
         moves += [size * np.eye(len(unit))[p] for size in sizes]
     return np.array(moves)
-
-
-def gram(design: np.ndarray, target: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations set by set.
-
-    Args:
-      design: (S, T, C, K).
-      target: (S, T, C).
-      precision: (S, T, C).
-
-    Returns:
-      (S, K, K) and (S, K).
-    """
-    count, width = len(design), design.shape[-1]
-    flat = design.reshape(count, -1, width)
-    weighted = flat * precision.reshape(count, -1, 1)
-    normal = np.matmul(weighted.transpose(0, 2, 1), flat)
-    slope = np.einsum("snk,sn->sk", weighted, target.reshape(count, -1))
-    return normal, slope
-
-
-def bounded_step(normal: np.ndarray, slope: np.ndarray, unit: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    """The Gauss-Newton step of parameters in [0, 1] and of nuisances with unit prior.
-
-    Args:
-      normal: (K, K) without the prior.
-      slope: (K,) without the prior.
-      unit: (P,) present parameters.
-      delta: (K - P,) present nuisances.
-
-    Returns:
-      (K,) step; a parameter that would leave its range stops at its bound while the others are solved again.
-    """
-    count = len(unit)
-    matrix = normal + np.diag(np.r_[np.full(count, 1e-3), np.ones(len(delta))])
-    right = slope - np.r_[np.zeros(count), delta]
-    step = np.zeros(len(slope))
-    fixed = np.zeros(len(slope), bool)
-    for _ in range(count + 1):
-        free = ~fixed
-        step[free] = np.linalg.solve(
-            matrix[np.ix_(free, free)], right[free] - matrix[np.ix_(free, fixed)] @ step[fixed]
-        )
-        wanted = unit + step[:count]
-        outside = ((wanted < -1e-9) | (wanted > 1 + 1e-9)) & free[:count]
-        if not outside.any():
-            break
-        step[:count][outside] = np.clip(wanted[outside], 0.0, 1.0) - unit[outside]
-        fixed[:count] |= outside
-    return step

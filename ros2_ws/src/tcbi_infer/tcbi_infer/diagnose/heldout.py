@@ -9,7 +9,8 @@ import dataclasses
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from tcbi_infer.diagnose.fit import Fit, Nuisance, bounded_step, to_physical
+from tcbi_infer.diagnose.fit import Fit, Nuisance, to_physical
+from tcbi_infer.diagnose.least_squares import bounded_step
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.engine import simulate
 

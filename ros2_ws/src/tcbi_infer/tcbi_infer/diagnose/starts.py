@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.diagnose.fit import Fit, Fitter, gram, scaled_together
+from tcbi_infer.diagnose.fit import RACE, RACERS, Fit, Fitter, scaled_together
+from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.screen import Screen, Targets
 from tcbi_sim.parameter import Parameter
 
@@ -19,9 +20,7 @@ EFFECT_SIZES = (0.08, 0.22, 0.5)  # of an effect's range
 DIRECTIONS = 2  # of an effect, the best by screening
 RUNNERS = 6  # starts whose base parameters settle before the best are chosen
 SETTLING = 2  # steps of them
-RACERS = 2  # far from each other, that are fitted before one is chosen
 FAR = 0.12  # of a range
-RACE = (0.08, 0.05, 0.04)  # steps of their finite differences
 LONGEST = 0.7  # of one such step, in the coordinates of REACH
 LEAST_EIGENVALUE = 1e-9
 
