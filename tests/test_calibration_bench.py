@@ -38,7 +38,10 @@ def result(bench: dict[str, ModuleType], truth: int, method: str, error: float, 
         "high90": at + error + 1.645 * sd, "identified": True, "unit_truth": at, "unit_error": error, "unit_sd": sd,
         "rank": 0.5,
     }  # fmt: skip
-    return {"case": json.loads(case(bench, truth, method).key()), "parameters": [parameter], "cpu_s": 1.0}
+    return {"case": json.loads(case(bench, truth, method).key()), "parameters": [parameter], "cpu_s": 1.0} | {
+        "says_misfit": False,
+        "says_outside": False,
+    }
 
 
 def value(rows: list[dict], words: str) -> dict:

@@ -85,6 +85,8 @@ def _of(name: str, group: list[Result]) -> list[Row]:
             "1",
         )
     )
+    said = float(np.mean([r["says_misfit"] or r["says_outside"] for r in group]))
+    rows.append(figure(f"{name}: inferences that call the model wrong, of {n}", said, "1"))
     told = float(np.mean([p["identified"] for p in every]))
     rows.append(figure(f"{name}: parameters that the data are said to tell, of {len(every)}", told, "1"))
     rows.append(figure(f"{name}: processor time", float(np.mean([r["cpu_s"] for r in group])), "s"))

@@ -6,10 +6,11 @@
 ./tcbi python bench/calibration --noise 0,0.02,0.04,0.08 --methods calibrated --truths 0:20 --keep noise.jsonl
 ./tcbi python bench/calibration --figures runs.jsonl            # of what was kept; nothing is run
 
-A truth is recorded (source `model`: drawn from the prior, simulated with finer steps and sensor noise; source `robot`:
-an emulated robot, another implementation with its own contacts and friction), and every method infers it from the same
-rollouts with the same number of simulations. `--keep FILE` holds one JSON line for each inference; what is there
-already is not run again, so a stopped run goes on.
+A truth is recorded. Source `model`: drawn from the prior, simulated with finer steps and sensor noise. Source `robot`:
+an emulated robot, another implementation with its own contacts and friction. Source `hidden`: one with an effect that
+the model lacks, which an inference must say. Every method infers a truth from the same rollouts with the same number of
+simulations. `--keep FILE` holds one JSON line for each inference; what is there already is not run again, so a stopped
+run goes on.
 """
 
 import argparse
@@ -99,7 +100,7 @@ def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="two truths of each task, two methods, short rollouts")
-    parser.add_argument("--source", default="model", help="model, robot, or both with a comma")
+    parser.add_argument("--source", default="model", help="model, robot, hidden; with commas")
     parser.add_argument("--task", default="balance,forward", help="with commas")
     parser.add_argument("--methods", default="calibrated", help="with commas, or all")
     parser.add_argument("--truths", default="0:100", help="first:end of their numbers")

@@ -6,6 +6,7 @@ import functools
 import numpy as np
 
 from tcbi_bringup.emulated_robot.as_measurement import measure
+from tcbi_bringup.emulated_robot.hidden_effects import NONE
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
 from tcbi_infer.collection import Request, scenario_of
 from tcbi_policy.artefact import find_policy
@@ -28,7 +29,7 @@ def recorded(
     """Parameters (P,) and rollouts; half of them by the trained policy of the task, half by a scripted gait.
 
     Args:
-      source: "model" or "robot".
+      source: "model", "robot" (emulated, nothing hidden) or "hidden" (one of the effects, drawn with the robot).
       task: as registered.
       truth: its number.
       rollouts: how many.
@@ -37,8 +38,8 @@ def recorded(
     policies = [find_policy(name) for name in POLICIES[task]]
     scenarios = [scenario_of(Request(task, 1, 1000 * truth + i, duration_s=duration), 0) for i in range(rollouts)]
     model, found = base_model(RIG), []
-    if source == "robot":
-        robot = EmulatedRobot(5000 + truth)
+    if source != "model":
+        robot = EmulatedRobot(5000 + truth, NONE if source == "robot" else None)
         known = robot.specimen.truth()
         values = np.array([float(str(known[name])) for name in model.names])
         for i, scenario in enumerate(scenarios):

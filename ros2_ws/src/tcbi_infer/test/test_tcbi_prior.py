@@ -9,6 +9,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_infer.tcbi.prior import MODEL, Prior
 from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.result import estimates
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model, base_model
@@ -58,3 +59,34 @@ def test_the_flat_prior_leaves_the_cube_alone():
     problem = Problem.of(narrow(), rollouts())
     cube = np.random.default_rng(0).random((5, 3))
     np.testing.assert_array_equal(problem.unit(cube), cube)
+
+
+def diagnosed() -> Model:
+    model = narrow()
+    return dataclasses.replace(model, evidence={"kind": "diagnosis", "rollouts": []})
+
+
+def test_after_a_diagnosis_the_prior_is_twice_as_wide_and_that_is_said():
+    plain, wider = Prior.of(narrow()), Prior.of(diagnosed())
+    np.testing.assert_array_equal(wider.mean, plain.mean)
+    np.testing.assert_allclose(wider.root @ wider.root.T, 4 * plain.root @ plain.root.T, rtol=1e-6)
+    problem = Problem.of(diagnosed(), rollouts(), prior=MODEL)
+    assert any("2 times as wide as the diagnosis left it" in line for line in problem.warnings)
+
+
+def test_a_doubled_prior_is_nowhere_wider_than_the_flat_one():
+    model = base_model("servo_bench")
+    vague = dataclasses.replace(model, evidence={"kind": "diagnosis"})
+    root = Prior.of(vague).root
+    assert np.linalg.eigvalsh(root @ root.T).max() <= 1 + 1e-9
+
+
+def test_what_the_prior_knew_already_is_not_what_the_data_tell():
+    """Particles drawn from a narrow prior: variance a tenth of the flat prior's, and none less than the prior's own."""
+    prior = Prior.of(narrow())
+    unit = prior.unit(np.random.default_rng(4).random((500, 3)))
+    parameters, equal = narrow().parameters, np.zeros(500)
+    assert any(e.identified for e in estimates(parameters, unit, equal))
+    against = estimates(parameters, unit, equal, prior=prior.draws())
+    assert not any(e.identified for e in against)
+    assert all(e.variance_ratio == pytest.approx(1.0, abs=0.25) for e in against)

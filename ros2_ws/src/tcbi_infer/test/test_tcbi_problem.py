@@ -8,14 +8,16 @@ import pytest
 import xarray as xr
 from tcbi_cases import BENCH_TRUTH, bench_rollouts
 
-from tcbi_infer import posterior
+from tcbi_infer import posterior, statistics
 from tcbi_infer.errors import InferError
+from tcbi_infer.statistics import Statistic
 from tcbi_infer.tcbi import checkpoint
 from tcbi_infer.tcbi.driver import Interrupted, Progress, infer
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_infer.tcbi.problem import Problem, find_controllers
 from tcbi_infer.tcbi.result import Result
 from tcbi_sim.model import base_model
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.store import ModelStore
 
 SMALL = {"particles": 20, "generations": 3}
@@ -189,3 +191,60 @@ def test_every_divergence_ranks_the_truth_before_a_wrong_gain(bench) -> None:
         problem = Problem.of(*bench, divergence_name=name, timestep=0.01)
         right, wrong = problem.observed.by_statistic(problem.simulate(unit).divergence).sum(axis=1)
         assert right < wrong
+
+
+def test_recordings_noisier_than_the_rig_get_simulated_readings_as_noisy_and_that_is_said(bench) -> None:
+    model, measurements = bench
+    rng, sigma = np.random.default_rng(0), 0.05
+    noisy = [
+        dataclasses.replace(m, joint_position=m.joint_position + sigma * rng.standard_normal(m.joint_position.shape))
+        for m in measurements
+    ]
+    assert Problem.of(model, noisy, timestep=0.01).noise.joint_position == pytest.approx(sigma, rel=0.05)
+    assert any("recorded with a noise of" in line for line in Problem.of(model, noisy, timestep=0.01).warnings)
+    quiet = Problem.of(model, measurements, timestep=0.01)
+    assert quiet.noise.joint_position <= 3 * load_rig("servo_bench").noise.joint_position
+    assert not any("recorded with a noise" in line for line in quiet.warnings)
+
+
+def test_samples_that_were_not_measured_count_nowhere(bench) -> None:
+    model, measurements = bench
+    gap = measurements[0].joint_position.copy()
+    gap[20:24] = np.nan
+    patchy = [dataclasses.replace(measurements[0], joint_position=gap), *measurements[1:]]
+    unit = np.array([BENCH_TRUTH, (0.9, *BENCH_TRUTH[1:])])
+    for name in ("calibrated", "rejection"):
+        method = METHODS[name]
+        seen = Problem.of(model, patchy, timestep=0.01).simulate(unit, view=method.view)
+        whole = Problem.of(model, measurements, timestep=0.01).simulate(unit, view=method.view)
+        assert all(np.isfinite(part).all() for part in seen if part.size and not np.isnan(part).all())
+        assert np.allclose(seen[1 if name == "calibrated" else 0], whole[1 if name == "calibrated" else 0], rtol=0.2)
+
+
+def test_a_statistic_that_is_the_same_in_every_sample_is_named(bench, monkeypatch) -> None:
+    frozen = Statistic("frozen", "1", "a dead sensor", (), lambda a: ("x",), lambda a: np.full((*a.count, 1, 9), 3.0))
+    known = {**statistics.library(), "frozen": frozen}
+    monkeypatch.setattr(statistics, "library", lambda: known)
+    problem = Problem.of(*bench, statistics=("joint_tracking", "frozen"), timestep=0.01)
+    assert "the same in every sample, so it tells little: frozen/x (3)" in problem.warnings
+    result = infer(problem, seed=0, particles=20, generations=2)
+    assert np.isfinite(result.unit).all() and result.ess > 1
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - {"prior", "bayesopt", "npe"}))
+def test_simulations_that_diverge_leave_every_method_a_finite_posterior(problem: Problem, method: str) -> None:
+    """A third of the particles, those of the highest gain, diverge."""
+
+    class Unstable:
+        def __getattr__(self, name):
+            return getattr(problem, name)
+
+        def simulate(self, cube, progress=None, view=None):
+            seen = problem.simulate(cube, progress, view)
+            return seen._replace(valid=seen.valid & (cube[:, 0] < 0.67))
+
+    result = infer(Unstable(), method, seed=0, particles=20, generations=2)  # type: ignore[arg-type]
+    weights = np.exp(result.log_weights)
+    assert np.isfinite(weights @ result.unit).all()
+    if method != "simopt":  # whose posterior is a Gaussian fitted to the others
+        assert weights[result.unit[:, 0] >= 0.67].sum() < 1e-6

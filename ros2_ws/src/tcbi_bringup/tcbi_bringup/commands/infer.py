@@ -195,6 +195,7 @@ def _print(result: "Result", version: str) -> None:
     from tcbi_infer.tcbi.method import find_method
     from tcbi_infer.tcbi.result import LEAST_ESS
 
+    method = find_method(result.method)
     rows = [
         [
             e.name,
@@ -203,7 +204,7 @@ def _print(result: "Result", version: str) -> None:
             e.sd,
             f"{e.low90:.3g} to {e.high90:.3g}",
             f"{1 - e.variance_ratio:.0%}",
-            _verdict(e, result.ess >= LEAST_ESS),
+            _verdict(e, method.judges, result.ess >= LEAST_ESS),
         ]
         for e in result.estimates
     ]
@@ -214,14 +215,15 @@ def _print(result: "Result", version: str) -> None:
         f"{result.ess:.0f} effective particles, "
         + ("converged" if result.converged else "stopped by the number of generations")
     )
-    if result.ess < LEAST_ESS:
+    if method.judges and result.ess < LEAST_ESS:
         print(f"fewer than {LEAST_ESS} effective particles tell nothing; more particles or generations are needed")
-    caveat = find_method(result.method).caveat
-    if caveat:
-        print(caveat)
+    if method.caveat:
+        print(method.caveat)
 
 
-def _verdict(estimate: Any, enough: bool) -> str:
+def _verdict(estimate: Any, judges: bool, enough: bool) -> str:
+    if not judges:
+        return "not judged by this method"
     if not enough:
         return "cannot say"
     return "yes" if estimate.identified else "no: little more than the prior"

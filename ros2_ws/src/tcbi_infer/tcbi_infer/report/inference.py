@@ -30,7 +30,7 @@ def add_inference(report: Report, result: "Result", caveat: str = "", truth: Tru
     """
     known = truth or {}
     told = [e.name for e in result.estimates if e.identified]
-    verdict = f"The data tell {', '.join(told)}." if told else "The data tell none of the parameters."
+    verdict = f"The data tell {', '.join(told)}." if told else "No parameter can be said to be told by the data."
     head = ["parameter", "unit", "mean", "sd", "90 % interval", "variance less than prior", "do the data tell?"]
     rows = [_row(e, known) for e in result.estimates]
     text = [

@@ -248,7 +248,7 @@ class _Loop:
         simulated = self.method.simulations(self.state, self.settings) * len(problem.rollout_ids)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
-            estimates(model.parameters, unit, log_weights, self.seed, known),
+            estimates(model.parameters, unit, log_weights, self.seed, known, self.method.judges),
             float(1 / np.sum(np.exp(2 * log_weights))),
             simulated, seconds, tuple(self.history), bool(self.state.converged), problem.closed_loop,
             (*problem.warnings, *resumed, *lines),

@@ -55,6 +55,7 @@ class Method:
     observe: Callable[[Problem], Any] = lambda problem: problem.observed  # the real rollouts, as the view sees them
     labels: Callable[[Problem], tuple[str, ...]] = lambda problem: problem.observed.statistics  # of `divergence`
     caveat: str = ""  # what a reader of its posterior must know
+    judges: bool = False  # whether its width says what the data tell, so that parameters can be called identified
     any_divergence: bool = False  # whether it takes others than the histograms' Jensen-Shannon divergence
     check: Callable[[], None] = nothing  # raises where something is not installed
 
@@ -132,6 +133,7 @@ _ALL = (
         finished=calibrated.finished,
         posterior=lambda state, settings: calibrated.posterior(state),
         simulations=lambda state, settings: len(state.z),
+        judges=True,
     ),
     Method(
         name="paper",

@@ -104,10 +104,20 @@ def estimates(
     log_weights: np.ndarray,
     seed: int = 0,
     prior: np.ndarray | None = None,
+    judged: bool = True,
 ) -> tuple[Estimate, ...]:
-    """The table, from (M, P) particles in [0, 1] and (M,) log-weights; `prior` (N, P) draws of it, None for flat."""
+    """The table.
+
+    Args:
+      parameters: P.
+      unit: (M, P) particles in [0, 1].
+      log_weights: (M,).
+      seed: of the resampling behind the verdicts.
+      prior: (N, P) draws of it, None for flat.
+      judged: whether the particles' spread is what the data leave open; if not, no parameter is called identified.
+    """
     weights = normalised(log_weights)
-    enough = effective_sample_size(weights) >= LEAST_ESS
+    enough = judged and effective_sample_size(weights) >= LEAST_ESS
     before = np.full(len(parameters), FLAT_VARIANCE) if prior is None else prior.var(axis=0)
     _, variance = mean_and_variance(unit, weights)
     high = _variance_bound(unit, weights, seed)
