@@ -21,6 +21,7 @@ TOGETHER_STEP = 0.04  # of a range: only while the steps are as wide as this
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
 SCALINGS = (0.5, 0.7, 1.4, 2.0)  # of all forces and masses, to others
 RACERS = 2  # far points that are fitted a little on few sets before one is chosen
+WORTH = 0.03  # of the loss: a far point that is lower by less is not followed
 RACE = (0.08, 0.08, 0.05, 0.05)  # steps of their finite differences
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
@@ -258,7 +259,7 @@ class Fitter:
         raced = [few.run(starts[i][None], fit.nuisance, RACE) for i in order]
         best = min(raced, key=lambda f: f.total)
         here = few.run(fit.unit[None], fit.nuisance, ())
-        if not best.total < here.total or np.abs(best.unit - fit.unit).max() < SMALL_STEP:
+        if not best.total < (1.0 - WORTH) * here.total:
             return fit
         other = self.run(best.unit[None], fit.nuisance, steps)
         return other if other.total < fit.total else fit
