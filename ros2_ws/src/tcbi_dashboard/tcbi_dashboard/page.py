@@ -93,6 +93,7 @@ class Shell:
         ui.navigate.history.replace(f"/?view={event.value.lower()}")
 
     def _see(self, name: str) -> None:
+        self.session.seen = name
         if name not in self._built:
             self._built.add(name)
             with self.panels[name]:

@@ -27,6 +27,7 @@ class Session:
         self.model = "latest"
         self.chosen: set[str] | None = None  # paths of bags; None until somebody chooses
         self.place: Place | None = None
+        self.seen = ""  # the view that is seen
         self.go_to: Callable[[str], None] = lambda _: None  # shows another view
 
     def rollouts(self) -> list[Glance]:

@@ -30,6 +30,8 @@ class AddView(View):
         self.candidates = ui.element("div").classes("tcbi-grid")
         with card("The error, version by version").style("margin-top: 1rem"):
             self.history = ui.element("div").style("width: 100%")
+            with self.history:
+                soft("Reading the versions …")
             self.picker = Picker(self.session, lambda: None)
             with ui.element("div").classes("tcbi-row"):
                 ui.button("Measure all versions on these", on_click=self.measure).props("outline").mark("measure")

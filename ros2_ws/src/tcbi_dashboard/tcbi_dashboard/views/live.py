@@ -7,6 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from tcbi_contract.errors import TcbiError
+from tcbi_contract.names import JOINTS
 from tcbi_dashboard import charts, task
 from tcbi_dashboard.elements import RobotView, card, chart, empty, soft, words
 from tcbi_dashboard.live import Live
@@ -15,6 +16,7 @@ from tcbi_dashboard.views.base import View
 from tcbi_dashboard.views.compare import skeleton_of
 from tcbi_sim.rigs import load_rig
 
+POSE_S = 0.1  # between two postures of the drawing
 RANGE_DEG = 35.0  # a little more than the joints' own
 LEVELS = {0: "fine", 1: "warning", 2: "error", 3: "stale"}
 GAITS = ["gait:steps", "gait:sinus", "gait:chirp", "gait:squat", "gait:twist", "gait:tripod", "none"]
@@ -28,6 +30,8 @@ class LiveView(View):
         super().__init__(session)
         self.live = live
         self._tables: object = None
+        self._posed: object = None
+        self._there: bool | None = None
 
     def build(self) -> None:
         """Stop button first, then the robot, the rates, the nodes, a collection."""
@@ -45,11 +49,12 @@ class LiveView(View):
                 self.rollout = words("", "p")
                 self.policy = words("", "p", "tcbi-soft")
             with card("Joints", "half"):
-                self.joints = chart(charts.levels(load_rig(RIG).joint_names, "position / deg", RANGE_DEG), 420)
+                self.joints = chart(charts.levels(JOINTS, "position / deg", RANGE_DEG), 420)
             with card("Topics and nodes", "half"):
                 self.tables = ui.element("div").style("width: 100%")
             with card("Record rollouts"):
                 self._collection()
+        ui.timer(POSE_S, self._pose)
 
     def _collection(self) -> None:
         if not self.bench.access.motion:
@@ -101,10 +106,9 @@ class LiveView(View):
         alive = any(age is not None and age < 1.0 for *_, age in rates)
         self._say_who_is_there(bool(live.nodes) or alive)
         if alive and position:
-            by_name = dict(zip(names, position, strict=False))
-            joints = [by_name.get(n, 0.0) for n in load_rig(RIG).joint_names]
-            self.robot.pose([0.0, 0.0, load_rig(RIG).stand_height, *(attitude or (1.0, 0.0, 0.0, 0.0))], joints)
-            self.joints.options["series"][0]["data"] = [round(math.degrees(j), 2) for j in joints]
+            self.joints.options["series"][0]["data"] = [
+                round(math.degrees(j), 2) for j in self._in_order(names, position)
+            ]
             self.joints.update()
             self.said.set_content(_attitude(attitude))
             self.feet.set_content(f"On the ground: {', '.join(feet) or 'no foot'}")
@@ -116,8 +120,24 @@ class LiveView(View):
         self._show_tables(rates)
         self._show_landed()
 
+    def _pose(self) -> None:
+        """Move the drawing, ten times a second while it is seen and something new has come."""
+        with self.live.lock:
+            now = (self.live.joint_names, self.live.joint_position, self.live.attitude)
+        if self.session.seen != "Live" or not now[1] or now == self._posed:
+            return
+        self._posed = now
+        names, position, attitude = now
+        base = [0.0, 0.0, load_rig(RIG).stand_height, *(attitude or (1.0, 0.0, 0.0, 0.0))]
+        self.robot.pose(base, self._in_order(names, position))
+
+    @staticmethod
+    def _in_order(names: tuple[str, ...], position: tuple[float, ...]) -> list[float]:
+        by_name = dict(zip(names, position, strict=False))
+        return [by_name.get(n, 0.0) for n in JOINTS]
+
     def _say_who_is_there(self, there: bool) -> None:
-        if there == getattr(self, "_there", None):
+        if there == self._there:
             return
         self._there = there
         self.place.clear()
