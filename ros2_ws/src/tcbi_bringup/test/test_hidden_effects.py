@@ -9,7 +9,7 @@ import pytest
 from tcbi_bringup.emulated_robot import drawing as drawings
 from tcbi_bringup.emulated_robot.errors import EmulatedRobotError
 from tcbi_bringup.emulated_robot.gear import GearGap
-from tcbi_bringup.emulated_robot.hidden.friction import BristleFriction
+from tcbi_bringup.emulated_robot.hidden.friction import SlippingTeeth
 from tcbi_bringup.emulated_robot.hidden_effects import EFFECTS, choose
 from tcbi_bringup.emulated_robot.hidden_names import DRAWN, LIBRARY, NAMES
 from tcbi_bringup.emulated_robot.mechanics import GRAVITY, Build, Scene
@@ -56,17 +56,17 @@ def test_dry_friction_stops_the_joints_short_of_where_they_would_settle() -> Non
     assert rubbing < free - 0.005
 
 
-def test_bristles_slide_at_the_sliding_torque_and_hold_below_it() -> None:
-    friction = BristleFriction("strong", np.random.default_rng(0))
+def test_teeth_slide_at_the_sliding_torque_and_hold_below_it() -> None:
+    friction = SlippingTeeth("strong", np.random.default_rng(0))
     for _ in range(500):
         sliding = friction.resist(np.full(18, 2.0), 1e-3)
-    assert sliding == pytest.approx(-friction.size, rel=0.01)
+    assert sliding == pytest.approx(-friction.size - 2.0 * friction.GREASE, rel=0.01)
     friction.reset(np.zeros(18))
     angle, speed, inertia = np.zeros(18), np.zeros(18), 1e-3
     for push in np.concatenate([np.linspace(0.0, 0.8, 1000), np.full(2000, 0.8)]):
         speed = speed + 1e-3 * (push * friction.size + friction.resist(speed, 1e-3)) / inertia
         angle = angle + 1e-3 * speed
-    assert np.abs(speed).max() < 1e-3 and 0 < angle.max() < 2 * friction.BENDING
+    assert np.abs(speed).max() < 1e-3 and 0 < angle.max() < friction.SLIP[-1]
 
 
 def test_damping_makes_a_swing_later_by_damping_over_gain() -> None:

@@ -15,7 +15,7 @@ from tcbi_bringup.emulated_robot.hidden_effect import HiddenEffect, Several
 from tcbi_bringup.emulated_robot.hidden_names import DRAWN, NONE, STRENGTHS, fault, parts
 
 EFFECTS: Mapping[str, type[HiddenEffect]] = {
-    "coulomb_friction": friction.BristleFriction,
+    "coulomb_friction": friction.SlippingTeeth,
     "viscous_damping": friction.OilDamping,
     "command_latency": bus.BusDelay,
     "backlash": gears.LooseHorns,

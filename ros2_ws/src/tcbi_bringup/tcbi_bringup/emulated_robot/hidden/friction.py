@@ -1,4 +1,4 @@
-"""What the joints rub on: bristles that bend before they slip, grease, loaded teeth."""
+"""What the joints rub on: teeth and bristles that bend before they slip, grease, loaded teeth."""
 
 import numpy as np
 
@@ -6,36 +6,34 @@ from tcbi_bringup.emulated_robot.character import JOINT_COUNT
 from tcbi_bringup.emulated_robot.hidden_effect import HiddenEffect
 
 
-class BristleFriction(HiddenEffect):
-    """Dry friction of the gears in all joints: LuGre bristles (Canudas de Wit et al. 1995).
+class SlippingTeeth(HiddenEffect):
+    """Dry friction of the gears in all joints: springs in parallel that let go one after another (Maxwell slip).
 
-    Breaking away takes a tenth more than sliding.
+    As in Al-Bender, Lampaert and Swevers, The generalized Maxwell-slip model, IEEE Transactions on Automatic Control 50
+    (2005). Breaking away takes a tenth more than sliding.
     """
 
     strong, weak = 0.06, 0.025  # N m, sliding
 
-    BENDING = 0.004  # rad that the bristles bend before they slip
+    SLIP = np.array([0.0012, 0.0025, 0.005, 0.010])[:, None]  # rad, at which each spring lets go; they share the torque
     BREAKAWAY = 1.1
     STRIBECK_SPEED = 0.15  # rad/s
-    BRISTLE_DAMPING = 0.01  # N m s/rad
+    GREASE = 0.002  # N m s/rad
 
     def __init__(self, strength: str, rng: np.random.Generator):
         super().__init__(strength, rng)
         self.truth = {"sliding_torque_n_m": self.size}
-        self._stiffness = self.size / self.BENDING
-        self._bend = np.zeros(JOINT_COUNT)
+        self._stiffness = self.size / len(self.SLIP) / self.SLIP
+        self._bend = np.zeros((len(self.SLIP), JOINT_COUNT))
 
     def reset(self, position: np.ndarray) -> None:
         self._bend[:] = 0.0
 
     def resist(self, velocity: np.ndarray, dt: float) -> np.ndarray:
-        """Integrates the bristles' deflection exactly over `dt` at constant velocity, so that no step is too long."""
-        slow = np.exp(-np.square(velocity / self.STRIBECK_SPEED))
-        slip_limit = self.BENDING * (1.0 + (self.BREAKAWAY - 1.0) * slow)
-        decay = np.exp(-np.abs(velocity) * (dt / slip_limit))
-        before = self._bend
-        self._bend = before * decay + np.sign(velocity) * slip_limit * (1.0 - decay)
-        return -self._stiffness * self._bend - (self.BRISTLE_DAMPING / dt) * slow * (self._bend - before)
+        """Exact over `dt` at constant velocity, so that no step is too long."""
+        limit = self.SLIP * (1.0 + (self.BREAKAWAY - 1.0) * np.exp(-np.square(velocity / self.STRIBECK_SPEED)))
+        self._bend = np.clip(self._bend + velocity * dt, -limit, limit)
+        return -(self._stiffness * self._bend).sum(axis=0) - self.GREASE * velocity
 
 
 class OilDamping(HiddenEffect):
