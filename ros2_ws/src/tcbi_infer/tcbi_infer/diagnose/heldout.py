@@ -14,8 +14,6 @@ from tcbi_infer.diagnose.least_squares import bounded_step
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.engine import simulate
 
-IMITATED = 1.2  # of what remains unexplained: how much more the parameters may have taken in (docs/diagnosis.md)
-
 
 @dataclasses.dataclass(frozen=True)
 class HeldOut:
@@ -108,7 +106,7 @@ def imitated(square: float, misfit: float) -> float:
       square: weighted sum of a fit's squared residuals, noise included.
       misfit: error over the noise floor on unseen motions.
     """
-    return IMITATED**2 * square * (1.0 - 1.0 / max(misfit, 1.0) ** 2)
+    return square * (1.0 - 1.0 / max(misfit, 1.0) ** 2)
 
 
 def discrepancy_shift(fit: Fit, misfit: float) -> tuple[np.ndarray, np.ndarray]:
