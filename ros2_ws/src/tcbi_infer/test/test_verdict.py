@@ -18,12 +18,10 @@ from tcbi_infer.diagnose.verdict import accept, ranked, rule
 GAINS = (40.0, 45.0, 38.0, 42.0, 41.0, 44.0)
 
 
-def evidence(
-    use: str, gains=GAINS, after: float = 1.5, before: float = 6.0, parameters: int = 1, **changes
-) -> Evidence:
-    """A candidate that passes every requirement, but for `changes`."""
+def evidence(use: str, gains=GAINS, after: float = 1.5, before: float = 6.0, count: int = 1, **changes) -> Evidence:
+    """A candidate with `count` parameters that passes every requirement, but for `changes`."""
     gains = np.array(gains, float)
-    sizes = tuple(ParameterEstimate(f"{use}.{i}", "1", 0.5, 0.4, 0.6, 0.0) for i in range(parameters))
+    sizes = tuple(ParameterEstimate(f"{use}.{i}", "1", 0.5, 0.4, 0.6, 0.0) for i in range(count))
     found = Evidence(
         effect=use, use=use, elpd_gain=float(gains.sum()), elpd_se=1.0, statistic=9.0, error_before=before,
         error_after=after, parameters=sizes, refined=True, converged=True, gains=tuple(gains),

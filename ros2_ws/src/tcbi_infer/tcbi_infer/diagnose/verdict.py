@@ -10,7 +10,7 @@ from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Evidence
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
-WELL_PREDICTED = 5.0  # times the noise floor: above what emulated robots with nothing hidden were seen to leave
+WELL_PREDICTED = 3.0  # times the noise floor: above what emulated robots with nothing hidden were seen to leave
 EXPLAINED = 1 / 3  # of the excess error: a candidate that explains less leaves "something else is missing" open
 
 
