@@ -26,6 +26,7 @@ def write(outcome: Outcome, truth: dict[str, object], path: Path) -> Path:
     add_ladder(
         report,
         [(label(m), outcome.errors[m.version].error_over_floor) for m in outcome.models],
+        repeated=outcome.errors[outcome.models[0].version].floor.from_replicates,
     )
     for diagnosis in outcome.diagnoses:
         add_diagnosis(report, diagnosis)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tcbi_infer.compare.kinds import UNDER_LOAD
 from tcbi_infer.compare.signals import DEGREE, JOINT, Layout, reference
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.rig import Rig
@@ -35,11 +36,15 @@ class Condition:
     values: np.ndarray
     high: str
 
-    def upper(self) -> np.ndarray:
-        """(R, T, J) bool: the upper third, by value; nothing of a condition that hardly varies."""
+    @property
+    def varies(self) -> bool:
+        """Whether there is anything to set the error against."""
         known = self.values[np.isfinite(self.values)]
-        if not len(known) or np.ptp(known) < 1e-9:
-            return np.zeros(self.values.shape, bool)
+        return bool(len(known)) and float(np.ptp(known)) > 1e-9
+
+    def upper(self) -> np.ndarray:
+        """(R, T, J) bool: the upper third, by value."""
+        known = self.values[np.isfinite(self.values)]
         edge = np.quantile(known, LARGE)
         edge = edge if edge > known.min() else known.min() + 0.5 * np.ptp(known)
         return self.values >= edge
@@ -108,13 +113,13 @@ def conditions(
     load = np.abs(asked * DEGREE - predicted[..., layout.where(JOINT)])
     slope = [np.hypot(m.scenario.slope_roll, m.scenario.slope_pitch) * DEGREE for m in measurements]
     found = [
-        Condition("load: the model's servo gives way", "deg", load, "under high load"),
+        Condition("load: the model's servo gives way", "deg", load, UNDER_LOAD),
         Condition("commanded speed", "deg/s", np.abs(np.gradient(asked, time, axis=1)) * DEGREE, "at high speed"),
         Condition("size of the command", "deg", _command_sizes(measurements, time), "on large commands"),
         Condition("slope", "deg", _wide(slope, shape), "on the steeper slopes"),
         Condition("time since start", "s", np.broadcast_to(time[None, :, None], shape), "late in the rollouts"),
     ]
-    return [c for c in (*found, *_recorded(measurements, shape)) if np.nanmax(c.values) - np.nanmin(c.values) > 1e-9]
+    return [c for c in (*found, *_recorded(measurements, shape)) if c.varies]
 
 
 def _wide(each: Sequence[float], shape: tuple[int, ...]) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 TELLS = 0.4  # share of the squared error from which a kind names it
 TOGETHER = 0.6  # of what single joints show that joints with one common size must keep, to be told as one
 SLOW = 3.0  # deg/s below which a direction counts for nothing
+UNDER_LOAD = "under high load"  # the condition that goes without saying beside a droop
 LAG, OFFSET, DROOP, GAIN, HYSTERESIS, SCATTER = "lag", "offset", "droop", "gain", "hysteresis", "scatter"
 
 
@@ -24,8 +25,14 @@ class Kind:
     together: bool
     share: float
 
-    def words(self, plural: bool) -> str:
-        """The verb of a sentence about one joint or several."""
+    def words(self, plural: bool, phase: str = "") -> str:
+        """The verb of a sentence about one joint or several, and when that is."""
+        when = phase and f" {phase}"
+        if self.name == DROOP and phase == UNDER_LOAD:
+            return self._verb(plural).replace(" under load", "", 1) + when
+        return self._verb(plural) + when
+
+    def _verb(self, plural: bool) -> str:
         s = "" if plural else "s"
         size, apart = abs(self.size), "" if self.together else ", each its own way"
         if self.name == LAG:
@@ -35,8 +42,8 @@ class Kind:
             return f"sit{s} {size:.1f} deg {side} the prediction{apart}"
         if self.name == DROOP:
             if apart:
-                return f"give{s} way under load otherwise than predicted, by {100 * size:.0f} %{apart}"
-            return f"give{s} way {100 * size:.0f} % {'more' if self.size > 0 else 'less'} under load than predicted"
+                return f"give{s} way under load {100 * size:.0f} % more or less than predicted{apart}"
+            return f"give{s} way under load {100 * size:.0f} % {'more' if self.size > 0 else 'less'} than predicted"
         if self.name == GAIN:
             move = "too far or too little" if apart else "too far" if self.size > 0 else "too little"
             return f"move{s} {100 * size:.0f} % {move}{apart}"

@@ -174,7 +174,7 @@ class _Joints:
         kind = kind_of(rows(error), rows(self.predicted), rows(self.velocity), rows(self.asked))
         names = tuple(self.names[j] for j in members)
         statement = (
-            f"{' '.join([_who(label, names), kind.words(len(names) > 1), phase]).strip()}: {here:.2g} deg, {over:.1f} "
+            f"{_who(label, names)} {kind.words(len(names) > 1, phase)}: {here:.2g} deg, {over:.1f} "
             f"times the noise floor; elsewhere {there:.2g} deg, {elsewhere:.1f} times."
         )
         moment = self._moment(cell, left)

@@ -6,14 +6,19 @@ import numpy as np
 
 from tcbi_infer.compare.comparison import Comparison
 from tcbi_infer.compare.ladder import Rung, explained
-from tcbi_infer.compare.locate import worst_moments
+from tcbi_infer.compare.locate import Finding, Moment, worst_moments
+from tcbi_infer.compare.maps import curves, heat, joint_errors
 from tcbi_infer.compare.scorer import SignalError
 from tcbi_infer.compare.signals import JOINT
 from tcbi_infer.report import plots
+from tcbi_infer.report.drawing import robot
+from tcbi_infer.report.maps import curves as condition_plots
+from tcbi_infer.report.maps import heat_map
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_infer.report.sections import add_ladder
+from tcbi_sim.rigs import load_rig
 
-WORST_S = 1.5  # s, length of a moment shown
+WORST_S, MOMENTS = 1.5, 10  # s, length of a moment shown; how many there are room for
 HEAD = ("signal", "unit", "error", "noise floor", "ratio", "share inside 90 % band", "CRPS", "floor from")
 
 
@@ -29,25 +34,72 @@ def add_comparison(
       rungs: the ladder; none where the report has one already.
     """
     c = comparison
+    if c.guards:
+        text = ["Before any figure is believed: these findings may explain the error without any physics."]
+        report.add(Section("About the recording", text=text, notes=c.guards))
     headline = (
         f"Model {c.model} errs by {c.error_over_floor:.1f} times the noise floor on {len(c.rollouts)} "
         f"rollout{'s' if len(c.rollouts) != 1 else ''}."
     )
     tone = "good" if c.error_over_floor < 1.5 else "warn"
-    report.add(Section("Prediction against measurement", verdict=headline, tone=tone, text=[c.floor.statement]))
-    if c.guards:
-        text = ["Before any figure is believed: these findings may explain the error without any physics."]
-        report.add(Section("About the recording", text=text, notes=c.guards))
+    sound = [] if c.guards else ["Clocks, rates, wiring and units of the recording were checked: nothing was found."]
+    text = [c.floor.statement, *sound]
+    report.add(Section("Prediction against measurement", verdict=headline, tone=tone, text=text))
     if rungs:
-        errors = [
-            (r.label + (" (fitted to some of these)" if r.fitted_here else ""), r.error_over_floor) for r in rungs
-        ]
+        errors = [(f"{r.label}{' (fitted to some of these)' * r.fitted_here}", r.error_over_floor) for r in rungs]
         add_ladder(report, errors, told(rungs), c.floor.from_replicates)
-    if c.where:
-        report.add(Section("Where the error lives", notes=[f.statement for f in c.where], figures=_worst(c, after)))
-    report.add(_figures_of("Every signal", c.signals))
+    _add_places(report, c, after)
+    text = [
+        "Where the prediction departs most. The line is the prediction at the mean parameters, the band holds 90 % of "
+        "what the model thinks possible, noise included."
+    ]
+    worst = _worst(c, after)
+    title = "The ten worst moments" if len(worst) == MOMENTS else "The worst moments"
+    report.add(Section(title, text=text, figures=worst))
     if c.statistics:
-        report.add(_figures_of("What the task is about", c.statistics))
+        report.add(_figures_of("What the task is about", c.statistics, folded=False))
+    report.add(_figures_of("Every signal", c.signals, folded=True))
+
+
+def _add_places(report: Report, c: Comparison, after: Comparison | None) -> None:
+    """Sentences, the drawing, the map of joints and phases, the plot of each sentence, what the error grows with."""
+    attitude = [s.ratio for s in c.signals if s.name in ("roll", "pitch")]
+    body = float(np.sqrt(np.mean(np.square(attitude)))) if attitude else float("nan")
+    whole = " and the trunk by that of its attitude" * bool(attitude)
+    figures = [
+        Figure(
+            robot(load_rig(c.replay.rig), joint_errors(c), body),
+            f"Each part coloured by the error of the joint that moves it{whole}: the darker, the worse.",
+            wide=True,
+        ),
+    ]
+    found = heat(c)
+    if found.phases:
+        caption = "Error over noise floor of each joint in each phase of its motion."
+        figures.append(Figure(heat_map(found), caption, wide=True))
+    for number, finding in enumerate(c.where, 1):
+        if finding.moment is not None:
+            figures.append(_shown(c, after, finding, finding.moment, number))
+    sentences = [f.statement for f in c.where] or ["Nowhere more than elsewhere."]
+    report.add(Section("Where the error lives", notes=sentences, ordered=True, figures=figures))
+    drawn = curves(c)
+    if drawn:
+        figure = Figure(
+            condition_plots(drawn),
+            "All joints together; bins hold equally many samples. Dashed: noise floor.",
+            wide=True,
+        )
+        report.add(Section("What the error grows with", figures=[figure]))
+
+
+def _shown(c: Comparison, after: Comparison | None, finding: Finding, moment: Moment, number: int) -> Figure:
+    """The plot that shows a finding, its phase shaded."""
+    span = len(moment.inside)
+    shaded = f"; {'all of it' if moment.inside.all() else 'shaded:'} {finding.phase}" * bool(finding.phase)
+    name = c.replay.layout.channels[moment.channel].name
+    rollout = c.replay.measurements[moment.rollout].rollout_id
+    svg = _overlay(c, after, moment.rollout, moment.first, moment.channel, span, moment.inside)
+    return Figure(svg, f"{number}. {name} in {rollout}{shaded}.")
 
 
 def told(rungs: Sequence[Rung]) -> str:
@@ -65,35 +117,40 @@ def told(rungs: Sequence[Rung]) -> str:
     )
 
 
-def _figures_of(title: str, errors: Sequence[SignalError]) -> Section:
+def _figures_of(title: str, errors: Sequence[SignalError], folded: bool) -> Section:
     rows = [[e.name, e.unit, e.error, e.noise_floor, e.ratio, e.coverage90, e.crps, e.floor_from] for e in errors]
     shown = [e for e in errors if np.isfinite(e.ratio)]
     bars = Figure(plots.signal_bars([e.name for e in shown], [e.ratio for e in shown]), title + ".", wide=True)
-    return Section(title, figures=[bars] if shown else [], table=Table(HEAD, rows, f"{title} in figures"), folded=True)
+    return Section(
+        title, figures=[bars] if shown else [], table=Table(HEAD, rows, f"{title} in figures"), folded=folded
+    )
 
 
-def _worst(c: Comparison, after: Comparison | None, count: int = 4) -> list[Figure]:
+def _worst(c: Comparison, after: Comparison | None, count: int = MOMENTS) -> list[Figure]:
     layout, replay = c.replay.layout, c.replay
-    joints = layout.where(JOINT)
-    span = round(WORST_S * layout.rate)
+    span = min(len(replay.time), round(WORST_S * layout.rate))
     firsts = [g.members[0] for g in replay.replicates]  # replicates would show the same moment again
     residual = (replay.measured - c.predicted)[firsts]
     figures = []
-    for s, t, i in worst_moments(residual, c.floor.values, joints, count, span):
+    for s, t, i in worst_moments(residual, c.floor.values, layout.where(JOINT), count, span):
         r = firsts[s]
-        cut = slice(t, t + span)
-        channel = layout.channels[i]
-        other = after.predicted[r, cut, i] if after is not None and after.rollouts == c.rollouts else None
-        svg = plots.overlay(
-            replay.time[cut],
-            replay.measured[r, cut, i],
-            c.predicted[r, cut, i],
-            c.low[r, cut, i],
-            c.high[r, cut, i],
-            f"{channel.name} / {channel.group.unit}",
-            other,
-        )
-        figures.append(
-            Figure(svg, f"One of the worst moments: {channel.name} in rollout {replay.measurements[r].rollout_id}.")
-        )
+        caption = f"{layout.channels[i].name} in {replay.measurements[r].rollout_id}."
+        figures.append(Figure(_overlay(c, after, r, t, i, span), caption))
     return figures
+
+
+def _overlay(
+    c: Comparison, after: Comparison | None, r: int, t: int, i: int, span: int, inside: np.ndarray | None = None
+) -> str:
+    cut, channel = slice(t, t + span), c.replay.layout.channels[i]
+    same = after is not None and after.rollouts == c.rollouts
+    return plots.overlay(
+        c.replay.time[cut],
+        c.replay.measured[r, cut, i],
+        c.predicted[r, cut, i],
+        c.low[r, cut, i],
+        c.high[r, cut, i],
+        f"{channel.name} / {channel.group.unit}",
+        after.predicted[r, cut, i] if same and after is not None else None,
+        inside,
+    )

@@ -45,7 +45,7 @@ class Section:
 
     Attributes:
       text: paragraphs.
-      notes: sentences shown as a list.
+      notes: sentences shown as a list, numbered if `ordered`.
       verdict: a highlighted sentence, with `tone` "good", "warn" or "neutral".
       folded: the table is hidden behind a click.
     """
@@ -58,6 +58,7 @@ class Section:
     verdict: str = ""
     tone: str = "neutral"
     folded: bool = False
+    ordered: bool = False
 
 
 class Report:

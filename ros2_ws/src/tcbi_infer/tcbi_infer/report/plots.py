@@ -97,10 +97,21 @@ def overlay(
     high: np.ndarray,
     label: str,
     after: np.ndarray | None = None,
+    inside: np.ndarray | None = None,
 ) -> str:
-    """Measured against predicted motion with the predictive 90 % band; `after` is another model's prediction."""
+    """Measured against predicted motion with the predictive 90 % band.
+
+    Args:
+      time: (T,) s.
+      measured: (T,) as `predicted`, `low` and `high`.
+      label: of the axis, with its unit.
+      after: (T,) another model's prediction.
+      inside: (T,) bool, shaded: where a phase of the motion holds.
+    """
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(2.5)
+        for begin, end in _stretches(inside) if inside is not None and not inside.all() else ():
+            axes.axvspan(time[begin], time[min(end, len(time) - 1)], color=GREY, alpha=0.22, lw=0)
         axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="90 % band")
         axes.plot(time, predicted, color=BLUE, label="predicted")
         if after is not None:
@@ -111,6 +122,12 @@ def overlay(
         axes.margins(x=0)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2, handlelength=1.8)
         return to_svg(figure)
+
+
+def _stretches(mask: np.ndarray) -> list[tuple[int, int]]:
+    """First and one past the last index of each run of true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def bars(
