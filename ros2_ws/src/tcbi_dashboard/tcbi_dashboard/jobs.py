@@ -61,6 +61,7 @@ class Slot:
         self.job: Job | None = None  # the one that runs, or the last one
         self._make = make
         self._worker: Worker | None = None
+        self._ending: threading.Thread | None = None
 
     @property
     def busy(self) -> bool:
@@ -85,6 +86,12 @@ class Slot:
             self.job.cancelled = self.job.ended = True
             self._let_go()
 
+    def close(self) -> None:
+        """End the job that runs, and wait until its process is gone: nothing goes on without the page."""
+        self.cancel()
+        if self._ending is not None:
+            self._ending.join()
+
     def poll(self) -> None:
         """Take in what the job has said."""
         if self._worker is None or self.job is None:
@@ -98,7 +105,8 @@ class Slot:
         """In a thread of its own: a simulation in progress may take seconds to end, and the page must not wait."""
         worker, self._worker = self._worker, None
         assert worker is not None
-        threading.Thread(target=worker.stop, name="stop-worker").start()
+        self._ending = threading.Thread(target=worker.stop, name="stop-worker")
+        self._ending.start()
 
 
 def _take(job: Job, event: dict[str, Any]) -> None:

@@ -253,7 +253,7 @@ def main() -> int:
     except TcbiError as e:
         emit("failed", message=" ".join(str(e).split()))
         return 1
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, BrokenPipeError):  # cancelled, or the page has died
         return 1
 
 

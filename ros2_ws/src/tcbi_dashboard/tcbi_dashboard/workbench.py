@@ -36,8 +36,8 @@ class Workbench:
 
     def close(self) -> None:
         """End the jobs."""
-        self.work.cancel()
-        self.recording.cancel()
+        self.work.close()
+        self.recording.close()
 
     def task(self, kind: str, model: str = "latest", bags: Sequence[str] = (), **options: Any) -> Task:
         """A task on this store."""

@@ -82,6 +82,14 @@ def test_a_cancelled_job_ends_at_once_and_makes_room(slot):
     assert slot.busy
 
 
+def test_closing_waits_until_the_process_is_gone():
+    slot = Slot()
+    slot.start(Task(COMPARE, "/nowhere"))
+    process = slot._worker._process  # type: ignore[union-attr]
+    slot.close()
+    assert process.poll() is not None and not slot.busy
+
+
 def test_a_failure_is_kept_in_its_own_words(slot):
     slot, made = slot
     job = slot.start(Task(COMPARE, "/store"))
