@@ -12,6 +12,7 @@ from tcbi_sim.measurement import Commands, Measurement
 
 LEAST = 0.5  # of a window: a shorter rest is left out
 SPEED_OVER = 0.03  # s, either side of a piece's begin: what its speed is measured over
+COMMAND_DIGITS = 3  # commands of all pieces on one grid of milliseconds are simulated several times as fast
 FEWEST = 5  # samples that a speed is measured from
 
 
@@ -57,6 +58,7 @@ def _commands(whole: Commands, zero: float, duration: float) -> Commands:
     before = np.flatnonzero(whole.time <= zero)
     first = int(before[-1]) if before.size else 0
     chosen = slice(first, int(np.searchsorted(whole.time, zero + duration)))
-    time = np.round(np.maximum(whole.time[chosen] - zero, 0.0), 9)
-    on = None if whole.torque_on is None else whole.torque_on[chosen]
-    return Commands(time, whole.target[chosen], whole.ramp, on)
+    time = np.round(np.maximum(whole.time[chosen] - zero, 0.0), COMMAND_DIGITS)
+    last = np.append(np.diff(time) > 0, True)  # of the commands within a millisecond
+    on = None if whole.torque_on is None else whole.torque_on[chosen][last]
+    return Commands(time[last], whole.target[chosen][last], whole.ramp, on)

@@ -56,6 +56,14 @@ def test_a_piece_begins_with_the_position_speed_and_command_of_its_moment():
         assert p.commands.time[-1] < p.scenario.duration
 
 
+def test_of_commands_within_a_millisecond_the_last_one_counts():
+    whole = recording()
+    fast = Commands(np.arange(0.0, 3.0, 0.0002), np.arange(15000.0)[:, None], 0.0)
+    part = pieces(dataclasses.replace(whole, commands=fast), 1.0)[1]
+    assert len(part.commands.time) == 1001 and (np.diff(part.commands.time) > 0).all()
+    assert np.abs(part.commands.target[:, 0] * 0.0002 - 1.0 - part.commands.time).max() < 0.001
+
+
 def test_a_piece_survives_its_bag(tmp_path):
     part = pieces(recording(), 1.0)[1]
     part = dataclasses.replace(part, notes=())

@@ -1,0 +1,256 @@
+"""Three real recordings: held-out errors without and with effects, and what mujoco.sysid makes of the same data.
+
+./tcbi python bench/real_data.py            # XL330 pendulum (each trajectory held out), SO-101 arm, double pendulum
+./tcbi python bench/real_data.py --quick    # one trajectory of the XL330 alone, without mujoco.sysid
+
+The recordings lie at TCBI_DATA or ../shared/data. Every model is fitted alike, by damped Gauss-Newton steps from the
+best of random starts, to recordings that are not those it is judged on. mujoco.sysid is compared where it is
+installed (`uv pip install "mujoco[sysid]"`).
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tcbi_infer.importer import read_log, read_rollouts
+from tcbi_infer.mapping import load_mapping
+from tcbi_infer.pieces import pieces
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model, base_model
+
+DATA = Path(os.environ.get("TCBI_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How a model is fitted."""
+
+    starts: int = 24
+    kept: int = 4
+    steps: int = 10
+    timestep: float = 0.002  # s
+    rate: float = 100.0  # Hz
+    robust: float = float(np.radians(3.5))  # residuals beyond it count less
+
+
+class Data:
+    """Recordings and what was measured, on the simulation's grid."""
+
+    def __init__(self, recordings: list[Measurement], effort: Effort):
+        self.recordings, self.effort = recordings, effort
+        grids = [np.arange(int(m.scenario.duration * effort.rate + 1e-6) + 1) / effort.rate for m in recordings]
+        self.measured = [m.resampled(t).joint_position for m, t in zip(recordings, grids, strict=True)]
+
+    def residuals(self, model: Model, values: np.ndarray) -> np.ndarray:
+        """(N, samples of all recordings, J) in rad, for (N, P) parameters."""
+        commands, scenarios = [m.commands for m in self.recordings], [m.scenario for m in self.recordings]
+        step, rate = self.effort.timestep, self.effort.rate
+        out = simulate(model, values, scenarios, commands=commands, timestep=step, rate=rate)
+        rows = [out.joint_position[:, s, : len(y)] - y[: len(out.time)] for s, y in enumerate(self.measured)]
+        joined = np.concatenate(rows, axis=1)
+        return np.where(np.isfinite(joined), joined, np.pi)  # a simulation that diverged is far off
+
+
+class Fitter:
+    """Robust least squares for one model."""
+
+    def __init__(self, model: Model, data: Data):
+        self.model, self.data, self.robust = model, data, data.effort.robust
+
+    def fit(self) -> np.ndarray:
+        """(P,) the best of several descents."""
+        effort = self.data.effort
+        starts = np.random.default_rng(0).uniform(0.1, 0.9, (effort.starts, len(self.model.names)))
+        losses = self._loss(self._residuals(starts))
+        ends = [self._descend(starts[i]) for i in np.argsort(losses)[: effort.kept]]
+        return self.model.from_unit(min(ends, key=lambda end: end[0])[1])
+
+    def _residuals(self, unit: np.ndarray) -> np.ndarray:
+        return self.data.residuals(self.model, self.model.from_unit(unit)).reshape(len(unit), -1)
+
+    def _loss(self, residual: np.ndarray) -> np.ndarray:
+        """Cauchy's, summed over the last axis."""
+        return np.sum(self.robust**2 * np.log1p((residual / self.robust) ** 2), axis=-1)
+
+    def _descend(self, unit: np.ndarray) -> tuple[float, np.ndarray]:
+        size, width, best = len(unit), 0.05, np.inf
+        for _ in range(self.data.effort.steps):
+            probes = np.clip(
+                np.concatenate([unit[None], unit + width * np.eye(size), unit - width * np.eye(size)]), 0, 1
+            )
+            residual = self._residuals(probes)
+            best = float(self._loss(residual[0]))
+            span = (probes[1 : 1 + size] - probes[1 + size :]).sum(axis=1)
+            slopes = ((residual[1 : 1 + size] - residual[1 + size :]) / span[:, None]).T
+            weights = 1 / (1 + (residual[0] / self.robust) ** 2)
+            gradient, curvature = slopes.T @ (weights * residual[0]), slopes.T @ (weights[:, None] * slopes)
+            damped = [curvature + d * np.diag(np.diag(curvature) + 1e-9) for d in (1e-3, 1e-2, 1e-1, 1.0, 10.0)]
+            tries = np.array([np.clip(unit - np.linalg.solve(a, gradient), 0.005, 0.995) for a in damped])
+            losses = self._loss(self._residuals(tries))
+            if losses.min() < best * (1 - 1e-6):
+                unit, best = tries[np.argmin(losses)], float(losses.min())
+            elif (width := width / 2.5) < 0.004:
+                break
+        return best, unit
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to some recordings and judged on others."""
+
+    values: dict[str, float]
+    error: np.ndarray  # (J,) deg, root mean square on the recordings held out
+    seconds: float
+
+
+def judge(rig: str, effects: tuple[str, ...], seen: Data, unseen: Data) -> Fitted:
+    """Fit to what is seen, measure on what is not."""
+    model = base_model(rig)
+    for effect in effects:
+        model = model.with_effect(effect)
+    began = time.perf_counter()
+    values = Fitter(model, seen).fit()
+    seconds = time.perf_counter() - began
+    error = np.degrees(np.sqrt(np.mean(unseen.residuals(model, values[None])[0] ** 2, axis=0)))
+    return Fitted(dict(zip(model.names, map(float, values), strict=True)), error, seconds)
+
+
+def pendulum(quick: bool) -> list[dict[str, Any]]:
+    """One servo: stiffness, viscous and Coulomb friction, without and with friction that grows with the load."""
+    recordings = [
+        read_log(load_mapping("xl330_bench"), path) for path in sorted((DATA / "xl330_pendulum").glob("*.json"))
+    ]
+    names = sorted({m.rollout_id.partition("_")[2] for m in recordings})
+    effort = Effort(starts=12, kept=2, steps=8) if quick else Effort()
+    figures: list[dict[str, Any]] = []
+    squares: dict[str, list[float]] = {"": [], "load_friction": []}
+    for held in names[:1] if quick else names:
+        seen = Data([m for m in recordings if not m.rollout_id.endswith(held)], effort)
+        unseen = Data([m for m in recordings if m.rollout_id.endswith(held)], effort)
+        for effect in squares:
+            fitted = judge("motor_bench", (effect,) if effect else (), seen, unseen)
+            squares[effect].append(fitted.error[0] ** 2)
+            figures.append(figure(f"xl330: {held} held out, {effect or 'base'}", fitted.error[0], "deg"))
+    ratio = np.sqrt(np.mean(squares["load_friction"]) / np.mean(squares[""]))
+    return [*figures, figure("xl330: error with load_friction to without, all held out", ratio, "1", at_most=0.75)]
+
+
+def arm() -> list[dict[str, Any]]:
+    """Six servos: the ideal servo, which is at its command, and what the elbow needs beside it."""
+    effort = Effort(starts=10, kept=1, steps=6, timestep=0.005, rate=50.0)
+    mapping = load_mapping("so101_arm")
+    logs = {path.name: read_log(mapping, path) for path in sorted((DATA / "so101_arm").iterdir()) if path.is_dir()}
+    chosen = ("static_holding", "velocity_ramp", "chirp_sweep", "backlash_detection")
+    seen = Data([p for name in chosen for p in pieces(logs[name], 15.0)[2::4]], effort)
+    unseen = Data([m for name, m in logs.items() if name not in chosen], effort)
+    ideal = ideal_servo(unseen)
+    elbow, figures = mapping.joints.index("Elbow"), []
+    figures.append(figure("so101: elbow, ideal servo", ideal[elbow], "deg"))
+    chain = ((), ("gravity_droop:Elbow",), ("gravity_droop:Elbow", "load_friction"))
+    fits = {effects: judge("so101_arm", effects, seen, unseen) for effects in chain}
+    for effects, fitted in fits.items():
+        name = " + ".join(("lag", *effects))
+        figures.append(figure(f"so101: elbow, {name}", fitted.error[elbow], "deg"))
+    ratio = fits[chain[-1]].error[elbow] / ideal[elbow]
+    figures.append(figure("so101: elbow's error to the ideal servo's", ratio, "1", at_most=0.5))
+    for joint in ("Wrist_Roll", "Jaw"):
+        k = mapping.joints.index(joint)
+        drooping = judge("so101_arm", (f"gravity_droop:{joint}",), seen, unseen).error[k]
+        name = f"so101: {joint}, error with gravity_droop to without"
+        figures.append(figure(name, drooping / fits[()].error[k], "1", at_least=0.99))
+    return figures
+
+
+def ideal_servo(data: Data) -> np.ndarray:
+    """(J,) deg by which joints depart from their commands."""
+    rows = []
+    for m, measured in zip(data.recordings, data.measured, strict=True):
+        times = np.arange(len(measured)) / data.effort.rate
+        newest = np.searchsorted(m.commands.time, times, side="right") - 1
+        rows.append(m.commands.target[np.clip(newest, 0, None)] - measured)
+    return np.degrees(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)))
+
+
+def double_pendulum() -> list[dict[str, Any]]:
+    """Two motors: a frictionless model, and what it lacks."""
+    effort = Effort(starts=16, kept=2, steps=8, robust=float(np.radians(6.0)))
+    seen, unseen = _double_pendulum(effort)
+    figures = []
+    for effects in ((), ("coulomb_friction",), ("coulomb_friction", "rotor_inertia")):
+        fitted = judge("double_pendulum", effects, seen, unseen)
+        name = f"double pendulum: {' + '.join(('masses', *effects))}"
+        figures.append(figure(f"{name}, both joints", np.sqrt(np.mean(fitted.error**2)), "deg"))
+    torque = fitted.values["coulomb_friction.torque"]
+    off = figure("double pendulum: Coulomb friction less 0.09 N m", abs(torque - 0.09), "N m", at_most=0.02)
+    return [*figures, figure("double pendulum: Coulomb friction", torque, "N m"), off]
+
+
+def _double_pendulum(effort: Effort) -> tuple[Data, Data]:
+    logs = sorted((DATA / "double_pendulum").glob("*.csv.gz"))
+    parts = [p for log in logs for p in read_rollouts(load_mapping("double_pendulum"), log)]
+    held = [logs[k].name.removesuffix(".csv.gz") for k in (1, 3)]
+    seen, unseen = [p for p in parts if p.policy_id not in held], [p for p in parts if p.policy_id in held]
+    return Data(seen, effort), Data(unseen, effort)
+
+
+def peer() -> list[dict[str, Any]]:
+    """mujoco.sysid on the same three, fitted to the same and judged on the same; nothing where it is not installed."""
+    try:
+        from peers.mujoco_sysid import compare
+    except ImportError as e:
+        print(f"mujoco.sysid is left out ({e}); install mujoco[sysid]", file=sys.stderr)
+        return []
+    return [figure(name, value, unit) for name, value, unit in compare(DATA)]
+
+
+def figure(
+    name: str, value: float, unit: str, at_most: float | None = None, at_least: float | None = None
+) -> dict[str, Any]:
+    """One measured figure beside its target, if it has one."""
+    target = at_most if at_most is not None else at_least
+    met = None if target is None else bool(value <= target if at_most is not None else value >= target)
+    found = {"name": name, "value": round(float(value), 3), "unit": unit, "target": target, "met": met}
+    print(found, file=sys.stderr, flush=True)
+    return found
+
+
+def timed(part: Callable[[], list[dict[str, Any]]], name: str) -> list[dict[str, Any]]:
+    """A part's figures and the time that it took."""
+    began = time.perf_counter()
+    return [*part(), figure(f"{name}: all fits", time.perf_counter() - began, "s")]
+
+
+PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
+    "xl330": lambda: pendulum(quick=False),
+    "so101": arm,
+    "double_pendulum": double_pendulum,
+    "sysid": peer,
+}
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="one trajectory of the XL330 alone")
+    parser.add_argument("--only", choices=tuple(PARTS), action="append", help="one part; may be given again")
+    options = parser.parse_args()
+    if not DATA.is_dir():
+        print(f"no recordings at {DATA}; set TCBI_DATA", file=sys.stderr)
+        return 1
+    chosen = options.only or list(PARTS)
+    figures = pendulum(quick=True) if options.quick else [f for name in chosen for f in timed(PARTS[name], name)]
+    print(json.dumps({"name": "real_data", "figures": figures}, indent=2))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
