@@ -47,14 +47,15 @@ def test_the_only_candidate_that_passes_is_named():
     "fault",
     [
         {"statistic": 2.9},
-        {"error_after": 5.8},
+        {"error_after": 1.95},
         {"converged": False},
         {"refined": False},
         {"parameters": (ParameterEstimate("gap", "rad", 0.01, 0.0, 0.02, 0.0),)},
     ],
 )
 def test_a_candidate_that_fails_one_requirement_is_not_named(fault):
-    assert ruled(evidence("backlash", **fault), base_error=2.0).verdict == NOTHING_MISSING
+    found = evidence("backlash", **{"before": 2.0, "after": 1.8} | fault)
+    assert ruled(found, base_error=2.0).verdict == NOTHING_MISSING
 
 
 def test_candidates_whose_gains_are_alike_are_both_named_as_possible():
@@ -95,6 +96,12 @@ def test_a_large_error_that_no_candidate_explains_lies_outside_the_library():
 def test_a_large_error_that_an_uncertain_candidate_would_explain_is_left_open():
     ruling = ruled(evidence("backlash", statistic=2.0, after=2.0, before=20.0), base_error=20.0)
     assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("backlash",))
+
+
+def test_a_small_error_that_an_uncertain_candidate_would_mostly_explain_is_left_open():
+    found = evidence("payload", statistic=2.0, after=1.5, before=2.6)
+    assert (ruled(found, base_error=2.6).verdict, ruled(found, base_error=2.6).uses) == (CANNOT_TELL, ("payload",))
+    assert ruled(dataclasses.replace(found, error_after=2.2), base_error=2.6).verdict == NOTHING_MISSING
 
 
 def test_one_kind_of_motion_tells_nothing():

@@ -7,7 +7,7 @@ diagnosis.verdict, diagnosis.statement, diagnosis.ranking[0].parameters
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.screen import Directions, Screen, Targets, simulate_directions
 from tcbi_infer.diagnose.starts import start_points
-from tcbi_infer.diagnose.verdict import Ruling, accept, ranked, rule
+from tcbi_infer.diagnose.verdict import WELL_PREDICTED, Ruling, accept, ranked, rule
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import candidates
 from tcbi_sim.errors import UnknownNameError
@@ -47,6 +47,7 @@ class Settings:
 
     refine: int = 3  # candidates that get a full fit
     per_effect: int = 2  # sites of one effect among them
+    further: int = 8  # other effects that are looked at far from the base fit, where much is left unexplained
     least_share: float | None = None  # of the best candidate's gain in screening, that a full fit takes; None: any
     timestep: float = 0.002  # s, of the final fits
     coarse: float = 0.005  # s, of the screening and of first fits
@@ -160,17 +161,22 @@ class _Run:
         gains = screen.held_out(data)[:, :, 0]
         chosen = self._choose(directions, gains)
         fits = self._fit_chosen(chosen, screen, data, base, nuisance)
+        after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
+        if min(e.error for e in (before, *after.values())) > WELL_PREDICTED:
+            hidden = self._hidden(screen, data, gains, base, nuisance, fits)
+            others = self._fit_chosen(hidden, screen, data, base, nuisance)
+            fits |= others
+            after |= {u: judge.judge(fine) for u, (_, fine) in others.items()}
         self.progress("simulating nothing missing", 0.85)
         leftover = min([base, *[fine for _, fine in fits.values()]], key=lambda f: f.total).residual
         null = simulate_null(
             self.problem, screen, nuisance, leftover, self.sets, np.random.default_rng(self.settings.seed)
         )
-        alike = self._alike(screen, data, chosen)
-        after = {directions.uses[u]: judge.judge(fine) for u, (_, fine) in fits.items()}
+        alike = self._alike(screen, data, list(fits))
         evidence = [screened(use, gains[:, u], before.error) for u, use in enumerate(directions.uses) if u not in fits]
         for u, (rough, fine) in fits.items():
             use = directions.uses[u]
-            evidence.append(judge.evidence(use, after[use], before, self._drift(rough, fine)))
+            evidence.append(judge.evidence(use, after[u], before, self._drift(rough, fine)))
         judged = []
         for e in evidence:
             accepted, reason = accept(e, null.threshold)
@@ -178,7 +184,8 @@ class _Run:
         background = Background.of(null, min(e.error for e in (before, *after.values())), leftover)
         detectable = detectable_sizes(self.problem, screen, background)
         drift = self._drift(coarse, base)
-        return self._conclude(judge, before, drift, ranked(judged), after, null, directions, detectable)
+        named = {directions.uses[u]: e for u, e in after.items()}
+        return self._conclude(judge, before, drift, ranked(judged), named, null, directions, detectable)
 
     def fit_base(self) -> tuple[Fit, Nuisance]:
         """The base model's parameters from a grid of starts, then again with scatter between joints allowed for."""
@@ -227,6 +234,35 @@ class _Run:
                 chosen.append(int(u))
                 per_effect[name] = per_effect.get(name, 0) + 1
         return chosen
+
+    def _hidden(
+        self,
+        screen: Screen,
+        data: Targets,
+        gains: np.ndarray,
+        base: Fit,
+        nuisance: Nuisance,
+        fits: Collection[int],
+    ) -> list[int]:
+        """Uses of other effects that start well far from the base fit, where what was fitted leaves too much.
+
+        A base fit that bent itself to make up for an effect hides it from the screening, which looks along straight
+        lines from there: soft servos and half the weight passed for grease once.
+        """
+        names = screen.directions.uses
+        seen = {names[u].partition(":")[0] for u in fits}
+        losses: dict[int, float] = {}
+        for u in map(int, np.argsort(-gains.mean(axis=0))):
+            name = names[u].partition(":")[0]
+            if name in seen or len(losses) == self.settings.further:
+                continue
+            seen.add(name)
+            self.progress(f"looking for {names[u]} elsewhere", 0.8)
+            fitter = Fitter(self.problem, screen.directions.models[u], nuisance, self.sets, self.settings.coarse)
+            few = fitter.on_few_sets()
+            starts = start_points(screen, data, u, base, fitter)
+            losses[u] = min(few.start_losses(few.predict(starts), np.zeros(nuisance.effect.shape[-1])))
+        return sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
 
     def _fit_chosen(
         self, chosen: Sequence[int], screen: Screen, data: Targets, base: Fit, nuisance: Nuisance
