@@ -36,7 +36,7 @@ def test_a_study_goes_on_where_it_was_and_does_nothing_twice(tmp_path: Path) -> 
 def test_every_contestant_infers_by_a_method_that_there_is_and_needs_only_earlier_pieces(tmp_path: Path) -> None:
     assert {c.method for c in CONTESTANTS.values()} <= set(METHODS)
     for name in PRESETS:
-        pieces = list(Experiment(chosen(name), tmp_path, Laboratory(1)).pieces())
+        pieces = list(Experiment(chosen(name), tmp_path / name, Laboratory(1)).pieces())
         assert len(set(pieces)) == len(pieces)
         for i, (stage, *rest) in enumerate(pieces):
             if stage == "infer":
@@ -54,6 +54,13 @@ def test_a_part_of_a_preset_can_be_chosen_and_what_is_unknown_is_named() -> None
     for wrong in ({"preset": "day"}, {"robots": "a"}, {"tasks": "dance"}, {"contestants": "magic"}):
         with pytest.raises(BringupError, match=next(iter(wrong.values()))):
             chosen(**{"preset": "hour", **wrong})
+
+
+def test_a_folder_with_a_study_of_other_sizes_is_refused_and_more_robots_are_not(tmp_path: Path) -> None:
+    Experiment(chosen("hour", tasks="balance"), tmp_path, Laboratory(1))
+    Experiment(chosen("hour", robots="1,2,3"), tmp_path, Laboratory(1))
+    with pytest.raises(BringupError, match="other sizes"):
+        Experiment(chosen("full"), tmp_path, Laboratory(1))
 
 
 def invented(folder: Path, gain: float) -> tables.Findings:

@@ -9,6 +9,7 @@ seeded by the piece, so that a study that was stopped and went on has the result
 """
 
 import dataclasses
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 
 from tcbi_bringup.demo.plan import slope_of
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
+from tcbi_bringup.errors import BringupError
 from tcbi_bringup.study.notebook import Key, Notebook, Result
 from tcbi_bringup.study.plan import CONTESTANTS, FIRST, WINNER, Plan
 from tcbi_bringup.study.robots import Laboratory, Order
@@ -32,7 +34,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_policy.artefact import Policy, find_policy, save_policy
+from tcbi_policy.artefact import Policy, find_policy, replace_file, save_policy
 from tcbi_policy.configuration import preset
 from tcbi_policy.environment import TIMESTEP_S
 from tcbi_policy.retraining import fine_tuning
@@ -52,6 +54,7 @@ class Experiment:
 
     def __init__(self, plan: Plan, folder: Path, laboratory: Laboratory, threads: int = 0):
         folder.mkdir(parents=True, exist_ok=True)
+        _same_sizes(plan, folder / "plan.json")
         self.plan, self.folder, self.laboratory, self.threads = plan, folder, laboratory, threads
         self.notebook = Notebook(folder / "study.jsonl")
         self.store = ModelStore(folder / "store")
@@ -156,7 +159,7 @@ class Experiment:
         stem = self.store.root / "policies" / f"{task}-{robot}-{name}"
         policy = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name))
         shutil.rmtree(folder)
-        return {"policy": str(policy.path), "cpu_s": training.state.cpu, "curve": training.state.curve}
+        return {"policy": str(policy.path), "curve": training.state.curve}
 
     def _deploy(self, task: str, robot: int, name: str) -> Result:
         plan = self.plan.tasks[task]
@@ -235,6 +238,23 @@ class Experiment:
         for m in rollouts:
             write_measurement(part, m)
         part.rename(folder)
+
+
+def _same_sizes(plan: Plan, path: Path) -> None:
+    """Keep the sizes of a study, and refuse to go on with others; robots and methods may be added.
+
+    Raises:
+      BringupError: the folder holds a study of other sizes.
+    """
+    sizes = {task: dataclasses.asdict(p) for task, p in plan.tasks.items()}
+    sizes["all"] = {"noise": list(plan.noise), "motions": list(plan.diagnosis.motions)}
+    known = json.loads(path.read_text()) if path.exists() else {}
+    different = [name for name, size in sizes.items() if known.get(name, size) != size]
+    if different:
+        raise BringupError(
+            f"{path.parent} holds a study of other sizes ({', '.join(different)}); give another --out, or its preset"
+        )
+    replace_file(path, json.dumps(known | sizes, indent=1).encode())
 
 
 def divergences(rollouts: list[Measurement], policy: Policy, model: Model, seed: int, threads: int = 0) -> list[float]:

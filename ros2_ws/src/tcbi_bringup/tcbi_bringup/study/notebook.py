@@ -42,9 +42,9 @@ class Notebook:
     def once(self, key: Key, work: Callable[[], Result]) -> Result:
         """The result under a key, worked out and kept if it is not there."""
         if key not in self._found:
-            began = time.monotonic()
-            result = plain({**work(), "wall_s": 0.0})
-            result["wall_s"] = round(time.monotonic() - began, 2)
+            began, cpu = time.monotonic(), time.process_time()
+            result = plain(work())
+            result |= {"wall_s": round(time.monotonic() - began, 2), "cpu_s": round(time.process_time() - cpu, 2)}
             with self._path.open("a") as file:
                 file.write(json.dumps({"key": list(key), "result": result}) + "\n")
                 file.flush()

@@ -1,0 +1,65 @@
+"""`./tcbi policy --onnx` and `./tcbi tasks`: one answer, one line for each fault, exit status."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tcbi_bringup import cli
+
+WAIT = """
+from tcbi_policy.reward import action_term
+from tcbi_sim.measurement import Scenario
+from tcbi_sim.tasks import Task
+
+TASK = Task("wait", {duration}, "stand and wait", 0, lambda rng, seed=0: Scenario("wait", {duration}, seed=seed),
+            reward=(action_term(-600.0),))
+"""
+
+
+def test_a_policy_is_exported_with_its_card(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "balance.onnx"
+    assert cli.main(["policy", "balance", "--onnx", str(file), "--store", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["onnx"] == str(file)
+    data = file.read_bytes()
+    assert b"Gemm" in data and b'"task": "balance"' in data and len(data) > 4 * 256 * 256
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("gait:stand", "--onnx", "x.onnx"), "no network to export"),
+        (("balance", "--onnx", "nowhere/x.onnx"), "nowhere is no folder"),
+    ],
+)
+def test_what_cannot_be_exported_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
+) -> None:
+    assert cli.main(["policy", *words, "--store", str(tmp_path)]) == 1
+    captured = capsys.readouterr()
+    assert said in captured.err and captured.err.count("\n") == 1 and not captured.out
+
+
+def test_tasks_are_listed_with_terms_and_units_those_of_ones_own_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "tasks").mkdir()
+    (tmp_path / "tasks" / "wait.py").write_text(WAIT.format(duration=4.0))
+    assert cli.main(["tasks", "--store", str(tmp_path), "--json"]) == 0
+    found = {task["task"]: task for task in json.loads(capsys.readouterr().out)["tasks"]}
+    assert list(found) == ["balance", "forward", "wait"]
+    assert [(t["weight"], t["unit"]) for t in found["forward"]["terms"]] == [
+        (90000, "m"),
+        (9000, "rad"),
+        (-600, "rad^2"),
+    ]
+
+
+def test_a_check_says_what_is_wrong_and_ends_with_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "wait.py"
+    file.write_text(WAIT.format(duration=4.1))
+    assert cli.main(["tasks", "check", str(file)]) == 1
+    assert "multiples of the control period" in capsys.readouterr().out
+    file.write_text(WAIT.format(duration=4.0))
+    assert cli.main(["tasks", "check", str(file)]) == 0
+    assert "fit for use" in capsys.readouterr().out
