@@ -84,6 +84,7 @@ def test_a_method_to_compare_with_says_what_its_posterior_is(bags, tmp_path, cap
         (("--particles", "1"), "particles: got 1, allowed is 10 or more"),
         (("--set", "alpha=5"), "method calibrated has no setting 'alpha'; it has particles, generations"),
         (("--divergence", "mmd"), "method calibrated works with the divergence js alone"),
+        (("--method", "simopt", "--statistics", "reward"), "looks at trajectories, not at statistics"),
         (("--statistics", "speed"), "unknown statistic speed"),
         (("--model", "hexapod-v0"), "is of rig hexapod"),
         (("--loop", "closed"), "policy 'steps' does not exist"),

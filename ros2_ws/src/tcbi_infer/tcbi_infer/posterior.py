@@ -2,7 +2,7 @@
 
 posterior       equally weighted draws, (chain, draw) per parameter
 particles       the weighted particles themselves: value (particle, parameter), log_weight (particle)
-prior           equally weighted draws of the prior, to compare with
+prior           equally weighted draws of the prior that was used, to compare with
 generations     means, variances, ESS, alpha and divergences over generations
 """
 
@@ -33,11 +33,11 @@ def dataset(result: Result) -> xr.DataTree:
         {"value": (("particle", "parameter"), result.particles), "log_weight": ("particle", result.log_weights)},
         coords={"parameter": list(result.model.names)},
     )
-    prior = np.stack([p.sample(rng, DRAWS) for p in parameters], axis=-1)
+    unit = rng.random((DRAWS, len(parameters))) if result.prior is None else result.prior[:DRAWS]
     tree = xr.DataTree.from_dict(
         {
             "posterior": draws(result.draws(DRAWS)),
-            "prior": draws(prior),
+            "prior": draws(result.model.from_unit(unit)),
             "particles": particles,
             "generations": _generations(result),
         }

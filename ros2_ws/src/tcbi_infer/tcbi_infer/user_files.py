@@ -43,7 +43,9 @@ def load_all(kind: str, attribute: str, check: Callable[[Any], str], taken: set[
       check: "" or what is wrong with such a value.
       taken: names that are in use already.
     """
-    found = {}
+    found: dict[str, Any] = {}
+    if os.environ.get(f"TCBI_{kind.upper()}") and not folder(kind).is_dir():
+        log.warning("tcbi: own %s: %s is no folder; make it, or unset TCBI_%s", kind, folder(kind), kind.upper())
     for path in sorted(p for p in folder(kind).glob("*.py") if not p.name.startswith(("_", "."))):
         try:
             if path.stem in taken:

@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tcbi_infer import posterior
 from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
+from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.prior import MODEL, Prior
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import estimates
@@ -72,6 +74,15 @@ def test_after_a_diagnosis_the_prior_is_twice_as_wide_and_that_is_said():
     np.testing.assert_allclose(wider.root @ wider.root.T, 4 * plain.root @ plain.root.T, rtol=1e-6)
     problem = Problem.of(diagnosed(), rollouts(), prior=MODEL)
     assert any("2 times as wide as the diagnosis left it" in line for line in problem.warnings)
+
+
+def test_the_posteriors_file_holds_the_prior_that_was_used():
+    result = infer(Problem.of(diagnosed(), rollouts(), prior=MODEL), "prior")
+    tree = posterior.dataset(result)
+    gain = result.model.parameters[0]
+    unit = gain.to_unit(tree["prior"]["gain"].values)
+    assert unit.std() < 0.1  # the flat prior's is 0.29
+    assert tree["posterior"]["gain"].shape == (1, posterior.DRAWS)
 
 
 def test_a_doubled_prior_is_nowhere_wider_than_the_flat_one():

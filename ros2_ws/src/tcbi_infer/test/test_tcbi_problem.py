@@ -126,6 +126,7 @@ def test_a_prior_that_excludes_the_data_is_named(bench) -> None:
     wrong = dataclasses.replace(model, parameters=(narrowed, *model.parameters[1:]), particles=particles)
     found = infer(Problem.of(wrong, measurements, timestep=0.01), seed=0, particles=60, generations=5)
     assert any("prior of gain seems to exclude the data" in line for line in found.warnings)
+    assert not found.fits and not any(e.identified for e in found.estimates)
 
 
 def test_rollouts_of_another_rig_are_refused(bench) -> None:

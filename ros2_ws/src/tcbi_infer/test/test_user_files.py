@@ -78,6 +78,13 @@ def test_a_file_that_cannot_be_used_is_left_out_with_a_line(folders, caplog, kin
     assert len(caplog.records) == 1 and said in caplog.records[0].getMessage()
 
 
+def test_a_folder_that_is_not_there_is_said_where_it_was_asked_for(folders: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setenv("TCBI_STATISTICS", str(folders / "gone"))
+    with caplog.at_level(logging.WARNING):
+        assert len(statistics.library()) == 6
+    assert "is no folder; make it, or unset TCBI_STATISTICS" in caplog.text
+
+
 def test_the_examples_of_the_page_are_fit_for_use(folders: Path) -> None:
     page = Path(__file__).resolve().parents[4] / "docs" / "tcbi.md"
     shown = re.findall(r"```python\n(\"\"\"(\w+/\w+\.py):.*?)```", page.read_text(), re.DOTALL)

@@ -98,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_infer import posterior
     from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.compare.guards import guard
+    from tcbi_infer.errors import InferError
     from tcbi_infer.report import Report, add_inference
     from tcbi_infer.tcbi.driver import infer
     from tcbi_infer.tcbi.method import find_method
@@ -105,6 +106,8 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_sim.store import ModelStore
 
     method, store = find_method(args.method), ModelStore(args.store)
+    if args.statistics and not method.by_task:
+        raise InferError(f"method {method.name} looks at trajectories, not at statistics; leave --statistics out")
     measurements = read_measurements(args.bags)[: args.rollouts]
     for finding in guard(measurements):
         console.note(f"note: {finding}")
@@ -204,7 +207,7 @@ def _print(result: "Result", version: str) -> None:
             e.sd,
             f"{e.low90:.3g} to {e.high90:.3g}",
             f"{1 - e.variance_ratio:.0%}",
-            _verdict(e, method.judges, result.ess >= LEAST_ESS),
+            _verdict(e, method.judges, result),
         ]
         for e in result.estimates
     ]
@@ -221,9 +224,13 @@ def _print(result: "Result", version: str) -> None:
         print(method.caveat)
 
 
-def _verdict(estimate: Any, judges: bool, enough: bool) -> str:
+def _verdict(estimate: Any, judges: bool, result: "Result") -> str:
+    from tcbi_infer.tcbi.result import LEAST_ESS
+
     if not judges:
         return "not judged by this method"
-    if not enough:
+    if not result.fits:
+        return "not told: the model fits poorly"
+    if result.ess < LEAST_ESS:
         return "cannot say"
     return "yes" if estimate.identified else "no: little more than the prior"

@@ -46,7 +46,7 @@ def add_inference(report: Report, result: "Result", caveat: str = "", truth: Tru
     figures = [
         Figure(_densities(result, i, known), f"{e.name}: prior and posterior.") for i, e in enumerate(result.estimates)
     ]
-    explain = "Grey is the flat prior, blue the posterior" + (", the dashed line the truth." if known else ".")
+    explain = "Grey is the prior, blue the posterior" + (", the dashed line the truth." if known else ".")
     report.add(Section("Posterior beside prior", [explain], figures=figures))
     if result.generations:
         report.add(_generations(result, known))
@@ -75,7 +75,10 @@ def _densities(result: "Result", i: int, truth: Truth) -> str:
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(1.7)
         share, _ = np.histogram(result.unit[:, i], bins=40, range=(0, 1), weights=np.exp(result.log_weights))
-        axes.stairs(np.full(40, 1 / 40), edges, fill=True, color=GREY, alpha=0.35)
+        before = np.full(40, 1 / 40)
+        if result.prior is not None:
+            before = np.histogram(result.prior[:, i], bins=40, range=(0, 1))[0] / len(result.prior)
+        axes.stairs(before, edges, fill=True, color=GREY, alpha=0.35)
         axes.stairs(share, edges, fill=True, color=BLUE, alpha=0.8)
         if e.name in truth:
             axes.axvline(truth[e.name], color=ORANGE, ls="--")

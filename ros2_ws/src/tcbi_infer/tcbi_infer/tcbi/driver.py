@@ -22,7 +22,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi import checkpoint
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.result import Result, estimates, findings
+from tcbi_infer.tcbi.result import Result, estimates, misfits, unfinished
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 from tcbi_sim.engine import SimError
 
@@ -243,15 +243,17 @@ class _Loop:
         unit, log_weights = unit[kept], np.log(np.maximum(normalised(log_weights[kept]), 1e-300))
         last = self._last_generation()
         known = None if problem.prior is None else problem.prior.draws()
-        lines = findings(model.parameters, unit, log_weights, self.statistics, last, bool(self.state.converged))
+        wrong = misfits(model.parameters, unit, log_weights, self.statistics, last)
+        lines = [*wrong, *([] if self.state.converged else unfinished(last))]
+        judged = self.method.judges and not wrong
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = self.method.simulations(self.state, self.settings) * len(problem.rollout_ids)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
-            estimates(model.parameters, unit, log_weights, self.seed, known, self.method.judges),
+            estimates(model.parameters, unit, log_weights, self.seed, known, judged),
             float(1 / np.sum(np.exp(2 * log_weights))),
             simulated, seconds, tuple(self.history), bool(self.state.converged), problem.closed_loop,
-            (*problem.warnings, *resumed, *lines),
+            (*problem.warnings, *resumed, *lines), known, not wrong,
         )  # fmt: skip
 
     def _last_generation(self) -> Generation:

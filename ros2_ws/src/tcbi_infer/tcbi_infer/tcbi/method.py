@@ -57,6 +57,7 @@ class Method:
     caveat: str = ""  # what a reader of its posterior must know
     judges: bool = False  # whether its width says what the data tell, so that parameters can be called identified
     any_divergence: bool = False  # whether it takes others than the histograms' Jensen-Shannon divergence
+    by_task: bool = True  # whether it looks at the task's statistics, and not at trajectories
     check: Callable[[], None] = nothing  # raises where something is not installed
 
 
@@ -117,7 +118,7 @@ def _baseline(
         name, summary, CALIBRATED, settings, state_type,
         lambda rng, dimensions, real, given: begin(dimensions, real), stepped,
         _until_converged, posterior, _each_generation, trajectory.trajectories, trajectory.observe,
-        lambda problem: (trajectory.STATISTIC,), caveat, check=check,
+        lambda problem: (trajectory.STATISTIC,), caveat, by_task=False, check=check,
     )  # fmt: skip
 
 
@@ -167,6 +168,7 @@ _ALL = (
         observe=lambda problem: None,
         labels=lambda problem: (trajectory.STATISTIC,),
         caveat="fixed domain randomisation learns nothing from the rollouts",
+        by_task=False,
     ),
     _baseline(
         "rejection",

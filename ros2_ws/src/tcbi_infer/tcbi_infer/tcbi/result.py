@@ -60,6 +60,8 @@ class Result:
     converged: bool
     closed_loop: bool
     warnings: tuple[str, ...]
+    prior: np.ndarray | None = None  # (N, P) draws in [0, 1] of the prior that was used; None for the flat one
+    fits: bool = True  # no sign that the model is wrong
 
     @property
     def particles(self) -> np.ndarray:
@@ -153,15 +155,14 @@ def _variance_bound(unit: np.ndarray, weights: np.ndarray, seed: int, resamples:
     return np.quantile(unit[picked].var(axis=1, ddof=1), 0.95, axis=0)
 
 
-def findings(
+def misfits(
     parameters: Sequence[Parameter],
     unit: np.ndarray,
     log_weights: np.ndarray,
     statistics: Sequence[str],
     last: Generation,
-    finished: bool,
 ) -> list[str]:
-    """Warnings that the posterior itself gives: bounds that exclude the data, misfit, too few particles."""
+    """Signs that the model is wrong, a line each: bounds that exclude the data, statistics that nothing reproduces."""
     ratios = _misfit_ratios(last)
     best = np.asarray(last.notes.get("best", np.empty((0, len(parameters)))))
     weights = normalised(log_weights)
@@ -182,14 +183,19 @@ def findings(
         for name, ratio in zip(statistics, ratios, strict=False)
         if ratio > MISFIT
     ]
-    supported = last.notes.get("alpha_supported")
-    if supported and not finished and last.alpha < 0.99 * supported:
-        share = last.alpha / supported
-        lines.append(
-            f"more could be learnt: with {last.ess:.0f} effective particles the data are weighed at {share:.0%} of "
-            "what they support, so the posterior is wider than need be; more generations narrow it"
-        )
     return lines
+
+
+def unfinished(last: Generation) -> list[str]:
+    """A line if too few particles carry weight for what the data support."""
+    supported = last.notes.get("alpha_supported")
+    if not supported or last.alpha >= 0.99 * supported:
+        return []
+    share = last.alpha / supported
+    return [
+        f"more could be learnt: with {last.ess:.0f} effective particles the data are weighed at {share:.0%} of "
+        "what they support, so the posterior is wider than need be; more generations narrow it"
+    ]
 
 
 def _misfit_ratios(last: Generation) -> list[float]:
