@@ -84,6 +84,22 @@ FAULTS = {
     "echo of one leg": (lambda m: echo(m, slice(3, 6)), "lm_coxa, lm_femur, lm_tibia are identical to their commands"),
     "gyro in degrees": (lambda m: gyro(m, np.degrees), "degrees a second"),
     "gyro upside down": (lambda m: gyro(m, lambda w: w * [1, -1, -1]), "gyro's y axis turns against the attitude"),
+    "gyro turned by a quarter": (
+        lambda m: gyro(m, lambda w: w[:, [1, 0, 2]]),
+        "gyro's x and y axes turn as the attitude does about each other's",
+    ),
+    "gravity taken out": (
+        lambda m: dataclasses.replace(m, linear_acceleration=m.linear_acceleration * 0.01),
+        "feels no gravity",
+    ),
+    "commands of another clock": (
+        lambda m: dataclasses.replace(m, commands=dataclasses.replace(m.commands, time=m.commands.time + 100.0)),
+        "All commands come after the last sample",
+    ),
+    "stamps that go back": (
+        lambda m: dataclasses.replace(m, time=np.where(np.arange(len(m.time)) == 50, m.time - 0.1, m.time)),
+        "repeat or go backwards",
+    ),
     "accelerometer in g": (
         lambda m: dataclasses.replace(m, linear_acceleration=m.linear_acceleration / 9.81), "multiples of gravity"),
 }  # fmt: skip

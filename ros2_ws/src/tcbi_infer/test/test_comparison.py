@@ -1,6 +1,7 @@
 """A comparison from end to end, on motions whose truth and noise are known."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.history import history
 from tcbi_infer.compare.ladder import explained, ladder, lineage, unexplained
 from tcbi_infer.report import Report, add_comparison, file_name
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Scenario
 from tcbi_sim.model import base_model
 
 MODEL = base_model("hexapod")
@@ -64,6 +67,36 @@ def test_bands_and_scores_do_not_depend_on_how_many_motions_fit_into_memory(roll
     monkeypatch.setattr(module, "MEMORY", 1)
     one_by_one = compare(MODEL, rollouts, particles=4)
     assert one_by_one.signals == found.signals and one_by_one.statistics == found.statistics
+
+
+def test_a_repeat_that_is_late_as_a_whole_is_set_right_before_any_error_is_measured(rollouts, found):
+    late = [rollouts[0], dataclasses.replace(rollouts[1], time=rollouts[1].time + 0.08), *rollouts[2:]]
+    put_right = compare(MODEL, late, particles=0)
+    assert any("All signals come 80 ms later" in g for g in put_right.guards) and found.guards == ()
+    assert put_right.error_over_floor == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_latency_of_one_joint_is_kept_and_told_as_its_lag(rollouts):
+    late = []
+    for m in rollouts:
+        joints = m.joint_position.copy()
+        joints[4:, 7] = m.joint_position[:-4, 7]
+        late.append(dataclasses.replace(m, joint_position=joints))
+    kept = compare(MODEL, late, particles=0)
+    assert kept.guards == ()
+    assert kept.where[0].channels == ("lr_femur",)
+    lag = re.search(r"lags the prediction by (\d+) ms", kept.where[0].statement)
+    assert lag and 65 < int(lag[1]) < 85, "a straight line through the error tells long lags a little short"
+
+
+def test_a_parameter_that_changes_nothing_is_named_and_only_that(rollouts, found):
+    bench = base_model("servo_bench")
+    still = Commands(np.arange(5) * 0.2, np.zeros((5, 1)))
+    out = simulate(bench, bench.mean()[None], [Scenario("log", 1.0, settle=0.0)], commands=[still])
+    hanging = dataclasses.replace(out.measurement(0), commands=still)
+    guards = compare(bench, [hanging], particles=0).guards
+    assert sum("changes nothing" in g for g in guards) == len(bench.names)
+    assert not any("changes nothing" in g for g in found.guards)
 
 
 def test_more_particles_than_allowed_are_refused(rollouts):
