@@ -4,7 +4,9 @@ setup(
     name="tcbi_sim",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"tcbi_sim": ["**/*.toml", "**/*.xml", "**/*.json", "**/*.html", "**/*.css", "**/*.js", "**/*.safetensors"]},
+    package_data={
+        "tcbi_sim": ["**/*.toml", "**/*.xml", "**/*.json", "**/*.html", "**/*.css", "**/*.js", "**/*.safetensors"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/tcbi_sim"]),
         ("share/tcbi_sim", ["package.xml"]),
