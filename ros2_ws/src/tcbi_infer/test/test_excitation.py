@@ -1,5 +1,7 @@
 """What to record next: motions on which models that these rollouts cannot tell apart would differ."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from bench_recordings import BASE, record
@@ -9,6 +11,7 @@ from tcbi_infer.diagnose import Diagnosis, diagnose
 from tcbi_infer.diagnose.diagnosis import QUICK
 from tcbi_infer.diagnose.excitation import TELLING, advice
 from tcbi_infer.diagnose.motions import ready_motions, standard_motions
+from tcbi_infer.errors import InferError
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs import load_rig
@@ -71,6 +74,19 @@ def test_a_bench_is_offered_plans_within_the_positions_and_speeds_that_it_has_se
         assert seen.min() <= motion.commands.target.min() and motion.commands.target.max() <= seen.max()
         assert np.abs(np.diff(motion.commands.target, axis=0)).max() <= fastest
     assert len({m.name for m in motions}) == len(motions) >= 5
+
+
+def test_a_rig_driven_by_torque_starts_where_it_was_and_one_that_was_let_go_is_offered_nothing():
+    rig = load_rig("double_pendulum")
+    torque = 0.4 * np.sin(np.arange(20))[:, None] * np.ones((1, 2))
+    driven = recorded("", "double_pendulum", torque)
+    start = dataclasses.replace(driven.scenario, initial_joint_position=(1.0, 0.5), initial_joint_velocity=(2.0, 0.0))
+    motions = ready_motions(rig, [dataclasses.replace(driven, scenario=start)])
+    assert motions and all(m.scenario.initial_joint_position == (1.0, 0.5) for m in motions)
+    assert all(m.scenario.initial_joint_velocity is None for m in motions)
+    assert ready_motions(rig, [recorded("", "double_pendulum")]) == []
+    with pytest.raises(InferError, match="driven by torque"):
+        standard_motions(rig, 3.0)
 
 
 @pytest.mark.parametrize("rig", ["hexapod", "servo_bench"])

@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     with console.progress("self-test", total=len(planned), unit="robots") as advance:
 
         def tell(robot: "Robot", stage: str, share: float) -> None:
-            advance(done=len(results) + min(share, 0.99), note=f"{robot.use or 'nothing planted'}, {stage}")
+            advance(done=round(len(results) + min(share, 0.99), 2), note=f"{robot.use or 'nothing planted'}, {stage}")
 
         try:
             for result in trials(bench, planned, args.keep, tell):
@@ -77,9 +77,11 @@ def run(args: argparse.Namespace) -> int:
             stopped = True
     summary = summarise(results, Limits(args.most_missed, args.most_false_alarms, not args.certain))
     if args.json:
-        console.emit({"model": bench.model.version, "stopped": stopped, **summary.to_json(), "robots": results})
+        passed = summary.passed and not stopped
+        answer = {**summary.to_json(), "passed": passed, "stopped": stopped, "robots": results}
+        console.emit({"model": bench.model.version, **answer})
     else:
-        _print(bench.model, results, summary)
+        _print(bench.model, results, summary, stopped)
     if stopped:
         rest = "the same command goes on from there" if args.keep else "--keep FILE would let it go on later"
         console.note(f"stopped after {len(results)} of {len(planned)} robots; {rest}")
@@ -124,7 +126,7 @@ def _note_missing(effects: list[str]) -> None:
         console.note(f"not planted, since they are no candidates here (--candidates or --full): {', '.join(effects)}")
 
 
-def _print(model: "Model", results: list[dict[str, Any]], summary: "Summary") -> None:
+def _print(model: "Model", results: list[dict[str, Any]], summary: "Summary", stopped: bool) -> None:
     rows = []
     for r in results:
         sizes = "; ".join(f"{name.rpartition('.')[2]} {value:.3g}" for name, value in r["planted"].items())
@@ -137,5 +139,5 @@ def _print(model: "Model", results: list[dict[str, Any]], summary: "Summary") ->
     print(summary.claim)
     for fault in summary.faults:
         print(f"not passed: {fault}")
-    if results and summary.passed:
+    if summary.passed and not stopped:
         print("passed")

@@ -46,6 +46,8 @@ def motions_that_show(
     problem: Problem, use: str, base: Fit, truth: Fit, motions: Sequence[Motion], timestep: float
 ) -> tuple[NextMotion, ...]:
     """Motions on which an effect of a given size shows best, the base model refitted."""
+    if not motions:
+        return ()
     return ranked((use, ""), motions, expected_ratio(problem, truth, base, motions, timestep))
 
 
@@ -68,7 +70,7 @@ def between(
       timestep: s.
     """
     fitted = [use for use in uses if use in fits] or list(fits)
-    if not fitted:
+    if not fitted or not motions:
         return ()
     first, second = fitted[0], fitted[1] if len(uses) > 1 and len(fitted) > 1 else ""
     return next_motions(problem, (first, second), (fits[first], fits.get(second, base)), motions, timestep)

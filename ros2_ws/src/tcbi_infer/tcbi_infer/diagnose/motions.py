@@ -11,6 +11,7 @@ import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S, JOINTS
 from tcbi_infer.collection import Request, scenario_of
+from tcbi_infer.errors import InferError
 from tcbi_policy.gaits import GAITS, Gait
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.rig import Rig
@@ -62,7 +63,7 @@ def ready_motions(rig: Rig, measurements: Sequence[Measurement]) -> list[Motion]
         first = measurements[0].scenario
         seen = {m.policy_id for m in measurements}
         return [gait_motion(name, first.slope_roll, first.slope_pitch, duration) for name in _unseen_gaits(seen)]
-    return _plans(measurements, duration)
+    return _plans(rig, measurements, duration)
 
 
 def _unseen_gaits(seen: set[str]) -> list[str]:
@@ -89,16 +90,23 @@ def gait_motion(name: str, slope_roll: float, slope_pitch: float, duration: floa
     return Motion(f"gait:{name}", words.strip().rstrip("."), scenario_of(request, 0), commands, command)
 
 
-def _plans(measurements: Sequence[Measurement], duration: float) -> list[Motion]:
-    """Plans for a rig without gaits, within positions and speeds of the recorded commands."""
+def _plans(rig: Rig, measurements: Sequence[Measurement], duration: float) -> list[Motion]:
+    """Plans for a rig without gaits, within positions (or torques) and speeds of the recorded commands."""
     first = measurements[0]
     targets = np.concatenate([m.commands.target for m in measurements])
     intervals = np.concatenate([np.diff(m.commands.time) for m in measurements])
     period = float(np.median(intervals)) if len(intervals) else CONTROL_PERIOD_S
     low, high = targets.min(axis=0), targets.max(axis=0)
+    if not np.any(high > low):
+        return []  # a rig that was let go, not driven
     changes = [np.abs(np.diff(m.commands.target, axis=0)).reshape(-1, len(low)) for m in measurements]
     fastest = np.concatenate([*changes, np.zeros((1, len(low)))]).max(axis=0)
-    return planned(first.scenario, (low + high) / 2, GENTLE * (high - low) / 2, GENTLE * fastest, duration, period)
+    middle, reach = (low + high) / 2, GENTLE * (high - low) / 2
+    start = tuple(map(float, middle)) if rig.kind == "position" else first.scenario.initial_joint_position
+    scenario = dataclasses.replace(
+        first.scenario, duration=duration, initial_joint_position=start, initial_joint_velocity=None
+    )
+    return planned(scenario, middle, reach, GENTLE * fastest, period, first.commands.ramp)
 
 
 def planned(
@@ -106,33 +114,39 @@ def planned(
     middle: np.ndarray,
     reach: np.ndarray,
     fastest: np.ndarray,
-    duration: float,
     period: float = CONTROL_PERIOD_S,
+    ramp: float = CONTROL_PERIOD_S,
 ) -> list[Motion]:
     """Every plan within `reach` (J,) rad of `middle`, no faster than `fastest` (J,) rad a command."""
+    duration = scenario.duration
     time = np.arange(round(duration / period)) * period
-    scenario = dataclasses.replace(scenario, duration=duration, initial_joint_position=tuple(map(float, middle)))
     motions = []
     for name, plan in plans(np.random.default_rng(0)).items():
         wanted, last = middle + reach * plan(time / duration, len(middle)), middle
         for k, target in enumerate(wanted):
             wanted[k] = last = last + np.clip(target - last, -fastest, fastest)
-        motions.append(Motion(name, WORDS[name], scenario, Commands(time, wanted, period)))
+        motions.append(Motion(name, WORDS[name], scenario, Commands(time, wanted, ramp)))
     return motions
 
 
 def standard_motions(rig: Rig, duration: float) -> list[Motion]:
-    """Motions for a rig of which nothing was recorded: gaits on slopes, or plans over half of the joints' range."""
+    """Motions for a rig of which nothing was recorded: gaits on slopes, or plans over half of the joints' range.
+
+    Raises:
+      InferError: the rig is driven by torque, of which it does not say how much is safe.
+    """
     if rig.joint_names == JOINTS:
         return [
             gait_motion(name, SLOPE * float(np.cos(TURN * i)), SLOPE * float(np.sin(TURN * i)), duration)
             for i, name in enumerate(GAITS_TO_LEARN)
         ]
+    if rig.kind != "position":
+        raise InferError(f"the rig {rig.name!r} is driven by torque and has no motions of its own; give bags of it")
     joints = len(rig.joint_names)
     reach = np.full(joints, min(0.5 * rig.joint_range, 1.0))
     fastest = np.full(joints, 0.5 * rig.speed_limit * CONTROL_PERIOD_S)
     scenario = Scenario("selftest", duration, settle=1.0 if rig.floating else 0.0)
-    return planned(scenario, np.zeros(joints), reach, fastest, duration)
+    return planned(scenario, np.zeros(joints), reach, fastest)
 
 
 Plan = Callable[[np.ndarray, int], np.ndarray]  # (K,) share of the time gone, joints -> (K, J) between -1 and 1

@@ -6,6 +6,7 @@ from typing import Any
 
 from scipy.special import betaincinv
 
+from tcbi_contract.wording import counted
 from tcbi_infer.selftest.trial import FALSE_ALARM, MISSED, RIGHT, UNSURE, WRONG, Result
 
 
@@ -73,6 +74,6 @@ def _claim(alarms: int, robots: int) -> str:
         return "No robot without an effect was tried, so nothing is said of false alarms."
     most = float(betaincinv(alarms + 1, robots - alarms, 0.95)) if alarms < robots else 1.0
     return (
-        f"{alarms} false alarms in {robots} robots with nothing planted leave room for a rate of up to "
-        f"{100 * most:.0f} % (one-sided, 95 %)."
+        f"{counted(alarms, 'false alarm')} in {counted(robots, 'robot')} with nothing planted leave room for a rate of "
+        f"up to {100 * most:.0f} % (one-sided, 95 %)."
     )
