@@ -46,7 +46,8 @@ def add_comparison(
     text = [c.floor.statement, *sound]
     report.add(Section("Prediction against measurement", verdict=headline, tone=tone, text=text))
     if rungs:
-        errors = [(f"{r.label}{' (fitted to some of these)' * r.fitted_here}", r.error_over_floor) for r in rungs]
+        mark = "\n(fitted to some of these)"
+        errors = [(f"{r.label}{mark * r.fitted_here}", r.error_over_floor) for r in rungs]
         add_ladder(report, errors, told(rungs), c.floor.from_replicates)
     _add_places(report, c, after)
     text = [
