@@ -71,7 +71,7 @@ class Picker:
         columns = [
             {"name": c, "label": label, "field": c, "sortable": True, "align": "left"} for c, label in COLUMNS.items()
         ]
-        with ui.dialog() as dialog, ui.element("section").classes("tcbi-card").style("max-width: 1000px; width: 96vw"):
+        with ui.dialog() as dialog, ui.element("div").classes("tcbi-card").style("max-width: 1000px; width: 96vw"):
             words("Rollouts", "h2")
             soft("A diagnosis needs several kinds of motion, five or more at best, each recorded twice.")
             buttons = ui.element("div").classes("tcbi-row")
