@@ -54,6 +54,7 @@ def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -
         "sealed": diagnosis["sealed"],
         "errors": {**diagnosis["errors"], use or "base": evidence["error_after"]},
         "error_over_floor": evidence["error_after"],
+        "floor_from_replicates": diagnosis["floor_from_replicates"],
         "parameters": evidence["parameters"],
     }
     return child.with_particles(particles, log_weights, **summary)
