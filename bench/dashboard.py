@@ -1,0 +1,97 @@
+"""How fast and how large the dashboard is: first page, slider, memory with many rollouts, growth while it is looked at.
+
+    ./tcbi python bench/dashboard.py --rollouts 500 --minutes 60
+
+Needs Playwright and Chromium. The rollouts are one second of a servo bench each; the slider is moved on a hexapod.
+"""
+
+import argparse
+import json
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import psutil
+from playwright.sync_api import sync_playwright
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tests.dashboard_cases import BROWSERS, SOFTWARE_GL, Server, bench_rollouts, record
+
+FIRST_PAGES = 5
+SLIDER = """async () => {
+  const slider = document.querySelector('.tcbi-transport input'), player = document.querySelector('.tcbi-player');
+  const before = player.frames(), began = performance.now();
+  for (let k = 0; performance.now() - began < 5000; k++) {
+    slider.value = k % (Number(slider.max) + 1);
+    slider.dispatchEvent(new Event('input'));
+    await new Promise(requestAnimationFrame);
+  }
+  return 1000 * (player.frames() - before) / (performance.now() - began);
+}"""
+
+
+def main() -> int:
+    """Measure and print one JSON object."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rollouts", type=int, default=500)
+    parser.add_argument("--minutes", type=float, default=0.0, help="look at the page for so long")
+    parser.add_argument("--motion", type=Path, nargs="*", default=[], help="bags of a hexapod, for the slider")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        store = Path(folder)
+        record(store, bench_rollouts(args.rollouts // 2, seconds=1.0))
+        result = {"rollouts": args.rollouts, "slider_frames_per_s": None}
+        if args.motion:
+            _compare(store, args.motion)
+        with Server(store) as server, sync_playwright() as playwright:
+            result |= _measure(server, playwright, args.minutes, bool(args.motion))
+    print(json.dumps(result, indent=1))
+    return 0
+
+
+def _compare(store: Path, bags: list[Path]) -> None:
+    """A comparison for the slider, as the page's own worker makes it."""
+    from tcbi_dashboard.task import COMPARE, MODULE, Task
+
+    task = Task(COMPARE, str(store), "hexapod-v0", tuple(str(b.absolute()) for b in bags))
+    subprocess.run([sys.executable, "-m", MODULE], input=task.to_json() + "\n", text=True, check=True)
+
+
+def _measure(server: Server, playwright, minutes: float, slider: bool) -> dict:
+    path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", *SOFTWARE_GL])
+    process = psutil.Process(server.pid)
+    seconds = []
+    for _ in range(FIRST_PAGES):
+        page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
+        began = time.perf_counter()
+        page.goto(server.address)
+        page.wait_for_selector(".tcbi-main .tcbi-card")
+        seconds.append(time.perf_counter() - began)
+        page.context.close()
+    page = browser.new_page()
+    page.goto(server.address)
+    page.wait_for_selector(".tcbi-main .tcbi-card")
+    result: dict = {"first_page_s": {"median": statistics.median(seconds), "worst": max(seconds)}}
+    if slider:
+        page.wait_for_function("Number(document.querySelector('.tcbi-transport input')?.max) > 10")
+        result["slider_frames_per_s"] = page.evaluate(SLIDER)
+    for view in ("Live", "Where", "Why", "Add", "Reports", "Compare"):
+        page.get_by_role("tab", name=view, exact=True).click()
+        page.wait_for_timeout(2000)
+    memory = [process.memory_info().rss / 1e6]
+    ends = time.monotonic() + 60 * minutes
+    while time.monotonic() < ends:
+        page.wait_for_timeout(20_000)
+        page.reload()
+        memory.append(process.memory_info().rss / 1e6)
+    browser.close()
+    return {**result, "memory_mb": {"after_all_views": memory[0], "at_the_end": memory[-1], "most": max(memory)}}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
