@@ -68,7 +68,7 @@ def test_an_episode_reset_command_silence_stop_and_release(make_bench, start_gra
     answer = peer.call(names.RESET_EPISODE, reset, ResetEpisode)
     assert answer.success, answer.message
     assert answer.source == "driver"
-    assert "slope" in answer.message and "1 blocks" in answer.message
+    assert "slope" in answer.message and "1 block" in answer.message
     assert seconds(answer.stamp) == pytest.approx(seconds(joints[-1].header.stamp), abs=2.0)
     assert bench.body.position == pytest.approx(np.zeros(18), abs=1e-3)
     assert bench.body.torque.all()

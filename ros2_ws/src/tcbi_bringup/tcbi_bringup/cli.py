@@ -166,6 +166,8 @@ def dispatch(words: list[str]) -> int:
     except SystemExit as e:  # argparse has printed what is wrong, or the help
         return int(e.code or OK)
     with store_of(args):
+        if hasattr(module, "prepare"):
+            module.prepare(args)
         check_task(args)
         if not getattr(args, "json", False):
             return int(module.run(args))

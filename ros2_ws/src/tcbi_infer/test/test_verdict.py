@@ -102,6 +102,7 @@ def test_a_small_error_that_an_uncertain_candidate_would_mostly_explain_is_left_
     found = evidence("payload", statistic=2.0, after=1.5, before=2.6)
     assert (ruled(found, base_error=2.6).verdict, ruled(found, base_error=2.6).uses) == (CANNOT_TELL, ("payload",))
     assert ruled(dataclasses.replace(found, error_after=2.2), base_error=2.6).verdict == NOTHING_MISSING
+    assert ruled(dataclasses.replace(found, error_after=1.1), base_error=1.4).verdict == NOTHING_MISSING
 
 
 def test_one_kind_of_motion_tells_nothing():

@@ -29,13 +29,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def prepare(args: argparse.Namespace) -> None:
+    """Choose the renderer, before anything imports MuJoCo."""
+    from tcbi_sim import view
+
+    if not _in_window(args):
+        view.prepare_headless()
+
+
 def run(args: argparse.Namespace) -> int:
     """Draw."""
     from tcbi_sim import view
 
-    window = not (args.png or args.video) and view.has_display()
-    if not window:
-        view.prepare_headless()
+    window = _in_window(args)
     film, policy = _film(args), _policy(args)
     if window:
         film.open(policy, args.seconds)
@@ -51,6 +57,12 @@ def run(args: argparse.Namespace) -> int:
             film.save_video(args.video, policy, args.seconds, advance)
         console.note(f"video: {args.video}")
     return 0
+
+
+def _in_window(args: argparse.Namespace) -> bool:
+    from tcbi_sim import view
+
+    return not (args.png or args.video) and view.has_display()
 
 
 def _film(args: argparse.Namespace) -> Any:

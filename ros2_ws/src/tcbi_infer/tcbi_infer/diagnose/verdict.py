@@ -11,6 +11,7 @@ from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, O
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
 WELL_PREDICTED = 3.0  # times the noise floor: above what emulated robots with nothing hidden were seen to leave
+NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
 MOSTLY = 1 / 2  # of the excess error: nothing is called complete that one more effect would explain so far
 EXPLAINED = 1 / 3  # of the excess error: a candidate that explains less leaves "something else is missing" open
 
@@ -143,7 +144,8 @@ def _explained(e: Evidence) -> float:
 def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
     best = ranking[0] if ranking else None
     hint = f" The best candidate was {best.use}: {best.reason}." if best else ""
-    if best and _explained(best) >= (EXPLAINED if base_error > WELL_PREDICTED else MOSTLY):
+    much = EXPLAINED if base_error > WELL_PREDICTED else MOSTLY
+    if best and base_error > NOTICEABLE and _explained(best) >= much:
         return Ruling(
             CANNOT_TELL,
             (best.use,),
