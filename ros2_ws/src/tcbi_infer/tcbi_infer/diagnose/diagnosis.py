@@ -28,7 +28,7 @@ from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.screen import Directions, Screen, Targets, simulate_directions
 from tcbi_infer.diagnose.starts import start_points
-from tcbi_infer.diagnose.verdict import WELL_PREDICTED, Ruling, accept, ranked, rule
+from tcbi_infer.diagnose.verdict import MOSTLY, WELL_PREDICTED, Ruling, accept, ranked, rule
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import candidates
 from tcbi_sim.errors import UnknownNameError
@@ -48,6 +48,7 @@ class Settings:
     refine: int = 3  # candidates that get a full fit
     per_effect: int = 2  # sites of one effect among them
     further: int = 8  # other effects that are looked at far from the base fit, where much is left unexplained
+    escape: bool = True  # candidates' fits, too, look for other valleys of the loss
     least_share: float | None = None  # of the best candidate's gain in screening, that a full fit takes; None: any
     timestep: float = 0.002  # s, of the final fits
     coarse: float = 0.005  # s, of the screening and of first fits
@@ -57,7 +58,9 @@ class Settings:
     sealed_share: float = 0.2  # of the kinds of motion, opened at the very end
 
 
-QUICK = Settings(refine=2, least_share=0.2, per_joint=False, sealed_share=0.0)  # a first answer, from few motions
+QUICK = Settings(
+    refine=2, least_share=0.4, escape=False, per_joint=False, sealed_share=0.0
+)  # a first answer, from few motions
 
 
 def diagnose(
@@ -162,9 +165,10 @@ class _Run:
         chosen = self._choose(directions, gains)
         fits = self._fit_chosen(chosen, screen, data, base, nuisance)
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
-        if min(e.error for e in (before, *after.values())) > WELL_PREDICTED:
+        least = min(e.error for e in (before, *after.values()))
+        if least > WELL_PREDICTED and before.error - least < MOSTLY * (before.error - 1.0):
             hidden = self._hidden(screen, data, gains, base, nuisance, fits)
-            others = self._fit_chosen(hidden, screen, data, base, nuisance)
+            others = self._fit_chosen(hidden, screen, data, base, nuisance, (0.8, 0.85))
             fits |= others
             after |= {u: judge.judge(fine) for u, (_, fine) in others.items()}
         self.progress("simulating nothing missing", 0.85)
@@ -257,7 +261,7 @@ class _Run:
             if name in seen or len(losses) == self.settings.further:
                 continue
             seen.add(name)
-            self.progress(f"looking for {names[u]} elsewhere", 0.8)
+            self.progress(f"looking for {names[u]} elsewhere", 0.75)
             fitter = Fitter(self.problem, screen.directions.models[u], nuisance, self.sets, self.settings.coarse)
             few = fitter.on_few_sets()
             starts = start_points(screen, data, u, base, fitter)
@@ -265,16 +269,24 @@ class _Run:
         return sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
 
     def _fit_chosen(
-        self, chosen: Sequence[int], screen: Screen, data: Targets, base: Fit, nuisance: Nuisance
+        self,
+        chosen: Sequence[int],
+        screen: Screen,
+        data: Targets,
+        base: Fit,
+        nuisance: Nuisance,
+        shares: tuple[float, float] = (0.55, 0.75),
     ) -> dict[int, tuple[Fit, Fit]]:
+        begin, end = shares
         fits = {}
         for i, u in enumerate(chosen):
             model = screen.directions.models[u]
-            self.progress(f"fitting {screen.directions.uses[u]}", 0.55 + 0.3 * i / len(chosen))
+            self.progress(f"fitting {screen.directions.uses[u]}", begin + (end - begin) * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
             starts = start_points(screen, data, u, base, fitter)
             rough = fitter.run(starts, steps=CLOSE_STEPS)
-            rough = fitter.escape(rough, len(base.unit), CLOSE_STEPS)
+            if self.settings.escape:
+                rough = fitter.escape(rough, len(base.unit), CLOSE_STEPS)
             fits[u] = rough, self._refit(rough, nuisance)
         return fits
 
