@@ -25,7 +25,7 @@ from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.result import Result
+from tcbi_infer.tcbi.result import LEAST_ESS, Result
 from tcbi_policy.reward import episode_reward, inclination
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -164,7 +164,8 @@ class Story:
         saved = store.save(result.updated_model())
         self.out.models.append(saved)
         told = [f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in result.estimates if e.identified]
-        self.say(f"{saved.version}: {'; '.join(told) or 'the data narrow no parameter'}")
+        nothing = "the data narrow no parameter" if result.ess >= LEAST_ESS else "too few simulations to narrow anything"
+        self.say(f"{saved.version}: {'; '.join(told) or nothing}")
         return saved
 
     def retrain(self, model: Model) -> None:
