@@ -164,7 +164,7 @@ class Story:
         saved = store.save(result.updated_model())
         self.out.models.append(saved)
         told = [f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in result.estimates if e.identified]
-        nothing = "the data narrow no parameter" if result.ess >= LEAST_ESS else "too few simulations to narrow anything"
+        nothing = "the data narrow no parameter" if result.ess >= LEAST_ESS else "too few simulations to tell"
         self.say(f"{saved.version}: {'; '.join(told) or nothing}")
         return saved
 
