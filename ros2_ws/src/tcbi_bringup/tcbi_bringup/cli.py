@@ -134,7 +134,8 @@ def main(argv: list[str] | None = None) -> int:
         print("tcbi: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more to flush
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.stdout.flush()  # what nobody reads, so that nothing of it is left for later
         return READER_GONE
     except OSError as e:
         if e.errno not in MACHINE_FAULTS:

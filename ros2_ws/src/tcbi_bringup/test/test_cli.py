@@ -138,7 +138,10 @@ def test_a_reader_that_has_gone_ends_a_command_quietly(words):
     reader, writer = os.pipe()
     os.close(reader)
     command = [sys.executable, "-P", "-m", "tcbi_bringup.cli", *words]
-    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=100, check=False)
+    buffered = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    done = subprocess.run(
+        command, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=100, check=False, env=buffered
+    )
     os.close(writer)
     assert (done.stderr, done.returncode) == ("", cli.READER_GONE)
 

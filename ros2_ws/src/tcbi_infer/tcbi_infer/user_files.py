@@ -70,7 +70,7 @@ def load(path: Path, attribute: str, check: Callable[[Any], str]) -> Any:
         raise UserFileError(path, "is no Python file; give the path of a file that ends in .py")
     module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        exec(compile(path.read_bytes(), path, "exec"), module.__dict__)  # never an older version's bytecode
     except (Exception, SystemExit) as e:  # it is the user's code
         raise UserFileError(path, f"cannot be imported: {told(e, path)}") from e
     value = getattr(module, attribute, None)
