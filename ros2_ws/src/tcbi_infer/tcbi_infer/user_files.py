@@ -5,7 +5,6 @@ TCBI_DIVERGENCES, else in `divergences`. A file that cannot be used is left out 
 shows on standard error, and everything else goes on. Files whose names begin with _ or . are not read.
 """
 
-import importlib.util
 import logging
 import os
 from collections.abc import Callable
@@ -14,8 +13,9 @@ from typing import Any
 
 from tcbi_contract.errors import TcbiError
 from tcbi_infer.errors import InferError
+from tcbi_sim import user_file
 from tcbi_sim.places import default_root
-from tcbi_sim.user_effects import told
+from tcbi_sim.user_file import python_files, read, told
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ def load_all(kind: str, attribute: str, check: Callable[[Any], str], taken: set[
     found: dict[str, Any] = {}
     if os.environ.get(f"TCBI_{kind.upper()}") and not folder(kind).is_dir():
         log.warning("tcbi: own %s: %s is no folder; make it, or unset TCBI_%s", kind, folder(kind), kind.upper())
-    for path in sorted(p for p in folder(kind).glob("*.py") if not p.name.startswith(("_", "."))):
+    for path in python_files(folder(kind)):
         try:
             if path.stem in taken:
                 raise UserFileError(path, f"the name {path.stem!r} is taken already; rename the file")
@@ -65,15 +65,10 @@ def load(path: Path, attribute: str, check: Callable[[Any], str]) -> Any:
     Raises:
       UserFileError: it cannot be imported, or what it defines cannot be used.
     """
-    spec = importlib.util.spec_from_file_location(f"tcbi_user_{path.stem}", path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise UserFileError(path, "is no Python file; give the path of a file that ends in .py")
-    module = importlib.util.module_from_spec(spec)
     try:
-        exec(compile(path.read_bytes(), path, "exec"), module.__dict__)  # never an older version's bytecode
-    except (Exception, SystemExit) as e:  # it is the user's code
-        raise UserFileError(path, f"cannot be imported: {told(e, path)}") from e
-    value = getattr(module, attribute, None)
+        value = read(path, attribute)
+    except user_file.UserFileError as e:
+        raise UserFileError(path, "; ".join(e.faults)) from e
     if value is None:
         raise UserFileError(path, f"defines no {attribute}; write {attribute} = …")
     try:

@@ -17,7 +17,7 @@ from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import base_model
 from tcbi_sim.tasks import TASKS, Task, including
-from tcbi_sim.user_effects import told
+from tcbi_sim.user_file import told
 from tcbi_sim.user_tasks import UserTaskError, load_file
 
 DRAWS, SIMULATIONS, TRIAL_S = 20, 4, 2.0

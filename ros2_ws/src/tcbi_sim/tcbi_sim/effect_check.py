@@ -12,7 +12,8 @@ from tcbi_sim.effect_trial import Trial, try_use
 from tcbi_sim.effects import built_in, file_of, including, library
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import RIGS, load_rig
-from tcbi_sim.user_effects import UserEffectError, incomplete, load_file, told
+from tcbi_sim.user_effects import UserEffectError, incomplete, load_file
+from tcbi_sim.user_file import told
 
 
 @dataclass(frozen=True)

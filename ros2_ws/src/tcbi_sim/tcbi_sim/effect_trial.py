@@ -25,7 +25,7 @@ from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
 from tcbi_sim.simulator import Simulator
 from tcbi_sim.structure import compile_structure
-from tcbi_sim.user_effects import told
+from tcbi_sim.user_file import told
 
 DURATION = 2.0  # s
 DRAWS = 3  # from the prior

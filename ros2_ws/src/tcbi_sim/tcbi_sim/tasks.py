@@ -20,6 +20,7 @@ from tcbi_contract.names import JOINTS
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.measurement import Block, Scenario
 from tcbi_sim.places import default_root
+from tcbi_sim.user_file import included, python_files
 
 log = logging.getLogger(__name__)
 USER_TASKS = "TCBI_TASKS"  # environment variable: the folder with the user's own tasks
@@ -86,7 +87,7 @@ def _tasks_of(folder: Path) -> dict[str, Task]:
     from tcbi_sim.user_tasks import UserTaskError, load_file
 
     found = dict(TASKS)
-    for path in sorted(p for p in folder.glob("*.py") if not p.name.startswith(("_", "."))):
+    for path in python_files(folder):
         try:
             task = load_file(path)
             if task.name in found:
@@ -101,14 +102,8 @@ def _tasks_of(folder: Path) -> dict[str, Task]:
 @contextlib.contextmanager
 def including(task: Task) -> Iterator[None]:
     """The tasks with one more for a while, which hides one of the same name."""
-    known = tasks()
-    before = dict(known)
-    known[task.name] = task
-    try:
+    with included(tasks(), task.name, task):
         yield
-    finally:
-        known.clear()
-        known.update(before)
 
 
 def find_task(name: str) -> Task:

@@ -3,25 +3,21 @@
 task = load_file(path)       # raises UserTaskError, whose `faults` are lines
 """
 
-import importlib.util
 import math
 from pathlib import Path
 
 from tcbi_contract.names import CONTROL_PERIOD_S
-from tcbi_sim.errors import SimError
 from tcbi_sim.tasks import Task
-from tcbi_sim.user_effects import NAME, told
+from tcbi_sim.user_file import NAME, UserFileError, read_one
 
 LONGEST_S = 3600.0
 MOST_BLOCKS = 64
 
 
-class UserTaskError(SimError):
+class UserTaskError(UserFileError):
     """A user's file that holds no usable task."""
 
-    def __init__(self, path: Path, faults: list[str]):
-        self.path, self.faults = path, faults
-        super().__init__(f"task file {path}: {'; '.join(faults)}")
+    holds = "task"
 
 
 def load_file(path: Path) -> Task:
@@ -30,18 +26,7 @@ def load_file(path: Path) -> Task:
     Raises:
       UserTaskError: the file cannot be imported, or what it defines cannot be used.
     """
-    spec = importlib.util.spec_from_file_location(f"tcbi_user_task_{path.stem}", path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise UserTaskError(path, ["is no Python file; give the path of a file that ends in .py"])
-    module = importlib.util.module_from_spec(spec)
-    try:
-        exec(compile(path.read_bytes(), path, "exec"), module.__dict__)  # never an older version's bytecode
-    except (Exception, SystemExit) as e:  # it is the user's code
-        raise UserTaskError(path, [f"cannot be imported: {told(e, path)}"]) from e
-    task = getattr(module, "TASK", None)
-    if not isinstance(task, Task):
-        seen = "nothing of that name" if task is None else f"a {type(task).__name__}"
-        raise UserTaskError(path, [f"TASK must be a Task of tcbi_sim.tasks, seen {seen}; write TASK = Task(…)"])
+    task = read_one(path, "TASK", Task, UserTaskError)
     faults = unusable(task)
     if faults:
         raise UserTaskError(path, faults)

@@ -12,7 +12,7 @@ import numpy as np
 from tcbi_infer.divergence import Binning, js_binned
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, Statistic
-from tcbi_sim.user_effects import told
+from tcbi_sim.user_file import told
 
 
 class Features(NamedTuple):

@@ -19,7 +19,8 @@ from tcbi_sim.effect import Effect, EffectUse
 from tcbi_sim.errors import EffectError, SimError, UnknownNameError, UnknownSiteError
 from tcbi_sim.places import USER_EFFECTS, effects_folder
 from tcbi_sim.rig import Rig
-from tcbi_sim.user_effects import UserEffectError, load_file, told
+from tcbi_sim.user_effects import UserEffectError, load_file
+from tcbi_sim.user_file import included, python_files, told
 
 log = logging.getLogger(__name__)
 _files: dict[str, Path] = {}  # the user's own effects, by name
@@ -57,7 +58,7 @@ def user_files() -> list[Path]:
     folder = effects_folder()
     if os.environ.get(USER_EFFECTS) and not folder.is_dir():
         _leave_out(folder, f"is no folder; make it, or unset {USER_EFFECTS}")
-    return sorted(p for p in folder.glob("*.py") if not p.name.startswith(("_", ".")))
+    return python_files(folder)
 
 
 def file_of(name: str) -> Path | None:
@@ -75,14 +76,8 @@ def left_out() -> dict[Path, str]:
 @contextlib.contextmanager
 def including(effect: Effect) -> Iterator[None]:
     """The library with one more effect for a while, which hides one of the same name."""
-    effects = library()
-    before = dict(effects)
-    effects[effect.name] = effect
-    try:
+    with included(library(), effect.name, effect):
         yield
-    finally:
-        effects.clear()
-        effects.update(before)
 
 
 def find_use(key: str, rig: Rig) -> EffectUse:
