@@ -1,6 +1,7 @@
 """For all tests, those beside the packages and those in tests/."""
 
 import os
+import signal
 from pathlib import Path
 
 import hypothesis
@@ -11,6 +12,8 @@ ROOT = Path(__file__).resolve().parent
 os.environ.setdefault("MUJOCO_GL", "egl")
 hypothesis.settings.register_profile("tcbi", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("tcbi")
+# a shell that starts the tests in the background has SIGINT ignored, by them and by all that they start and interrupt
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
