@@ -1,6 +1,6 @@
 """Everything that is wrong with a user's own task file, one plain line each.
 
-check_file(Path("my_task.py"))          # a task and [] where it is fit for use
+check_file(Path("my_task.py"))          # its task's name and [] where it is fit for use
 """
 
 import dataclasses
@@ -17,14 +17,14 @@ from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import base_model
 from tcbi_sim.tasks import TASKS, Task, including
-from tcbi_sim.user_file import told
+from tcbi_sim.user_file import UserFileError, apart, told
 from tcbi_sim.user_tasks import UserTaskError, load_file
 
 DRAWS, SIMULATIONS, TRIAL_S = 20, 4, 2.0
 
 
-def check_file(path: Path) -> tuple[Task | None, list[str]]:
-    """The task of a file, None if it holds none, and its faults: what it draws, and what its reward gives."""
+def check_file(path: Path) -> tuple[str | None, list[str]]:
+    """Name of the task of a file, None if it holds none, and its faults: what it draws, and what its reward gives."""
     try:
         task = load_file(path)
     except UserTaskError as e:
@@ -35,7 +35,15 @@ def check_file(path: Path) -> tuple[Task | None, list[str]]:
         faults += _draw_faults(task) or _trial_faults(task)
     except Exception as e:  # noqa: BLE001 - it is the user's code, which may raise anything
         faults.append(f"draw() or a term's measure, {told(e, path)}")
-    return task, faults
+    return task.name, faults
+
+
+def check_file_apart(path: Path) -> tuple[str | None, list[str]]:
+    """The same in a process of its own, so that a file that ends its process, or never ends, has a fault like any."""
+    try:
+        return apart(check_file, path)
+    except UserFileError as e:
+        return None, e.faults
 
 
 def _term_faults(task: Task) -> list[str]:

@@ -51,8 +51,7 @@ def test_a_file_in_the_folder_is_a_task_with_a_reward_like_any_other(folder: Pat
 
 
 def test_the_check_finds_nothing_wrong_with_a_good_one(folder: Path) -> None:
-    task, faults = check_file(folder / "turn.py")
-    assert task is not None and task.name == "turn" and faults == []
+    assert check_file(folder / "turn.py") == ("turn", [])
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from tcbi_sim.effects import built_in, file_of, including, library
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import RIGS, load_rig
 from tcbi_sim.user_effects import UserEffectError, incomplete, load_file
-from tcbi_sim.user_file import told
+from tcbi_sim.user_file import UserFileError, apart, told
 
 
 @dataclass(frozen=True)
@@ -21,14 +21,14 @@ class Check:
     """What was found in one file.
 
     Attributes:
-      effect: None where the file holds no usable one.
+      effect: its name; None where the file holds no usable one.
       trials: one for each use that was simulated.
       unsuited: rig -> why it cannot have the effect.
       faults: one line each.
     """
 
     path: Path
-    effect: Effect | None
+    effect: str | None
     trials: tuple[Trial, ...]
     unsuited: dict[str, str]
     faults: tuple[str, ...]
@@ -53,7 +53,15 @@ def check_file(path: Path, rigs: tuple[str, ...] = tuple(RIGS)) -> Check:
         faults.append(
             f"no rig can have it ({'; '.join(f'{r}: {why}' for r, why in unsuited.items())}); change requires"
         )
-    return Check(path, effect, tuple(trials), unsuited, tuple(faults))
+    return Check(path, effect.name, tuple(trials), unsuited, tuple(faults))
+
+
+def check_file_apart(path: Path, rigs: tuple[str, ...]) -> Check:
+    """The same in a process of its own, so that a file that ends its process, or never ends, has a fault like any."""
+    try:
+        return apart(check_file, path, rigs)
+    except UserFileError as e:
+        return Check(path, None, (), {}, tuple(e.faults))
 
 
 def known_places(rig: Rig) -> set[str]:

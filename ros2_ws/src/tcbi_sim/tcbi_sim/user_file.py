@@ -1,10 +1,13 @@
 """A Python file of the user's own: read without trusting it, and every fault in one plain line."""
 
 import contextlib
+import multiprocessing
 import re
+import signal
 import traceback
 import types
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +16,7 @@ from tcbi_sim.errors import SimError
 
 NAME = re.compile(r"[a-z][a-z0-9_]*")
 MISSING = re.compile(r"(\w+)\.__init__\(\) missing \d+ required positional arguments?: (.+)")
+LIMIT_S = 60  # that a check may take; a good file's takes a few
 Value = TypeVar("Value")
 
 
@@ -60,6 +64,37 @@ def read_one(path: Path, attribute: str, kind: type[Value], error: type[UserFile
             path, [f"{attribute} must be {article} {name} of {home}, seen {seen}; write {attribute} = {name}(…)"]
         )
     return value
+
+
+def apart(check: Callable[..., Value], path: Path, *more: Any, limit_s: int = LIMIT_S) -> Value:
+    """What `check(path, *more)` gives, from a process of its own: the user's code may end its process, or never end.
+
+    Raises:
+      UserFileError: it did one of the two.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    answer, other_end = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=_answer, args=(other_end, limit_s, check, path, *more))
+    process.start()
+    other_end.close()
+    try:
+        return answer.recv()
+    except EOFError:
+        process.join()
+        if process.exitcode == -signal.SIGALRM:
+            fault = f"does not end within {limit_s} s; look for a loop that goes on for ever"
+        else:
+            fault = f"ends the process that runs it, with status {process.exitcode}; raise an exception instead"
+        raise UserFileError(path, [fault]) from None
+    finally:
+        process.kill()
+        process.join()
+
+
+def _answer(to: Connection, limit_s: int, check: Callable[..., Any], *args: Any) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    signal.alarm(limit_s)
+    to.send(check(*args))
 
 
 def python_files(folder: Path) -> list[Path]:

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tcbi_sim.effect_check import check_file
+from tcbi_sim.effect_check import check_file, check_file_apart
 from tcbi_sim.effects import built_in, candidates, file_of, find_use, left_out, library
 from tcbi_sim.errors import EffectError, SimError
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.simulator import Simulator
+from tcbi_sim.user_file import UserFileError, apart
 
 GOOD = '''"""Cables that pull a joint back."""
 
@@ -126,6 +127,20 @@ def test_each_fault_is_told_in_a_plain_line(tmp_path, fault):
 def test_several_faults_are_told_at_once(tmp_path):
     text = GOOD.replace('"measured with a spring balance"', '""').replace('"N m/rad"', '""')
     assert len(check_file(write(tmp_path, text), BENCH).faults) == 2
+
+
+def test_a_check_in_a_process_of_its_own_finds_the_same(tmp_path):
+    file = write(tmp_path, GOOD)
+    assert check_file_apart(file, BENCH) == check_file(file, BENCH)
+
+
+def test_code_that_ends_its_process_or_never_ends_is_a_fault_like_any(tmp_path):
+    ends = write(tmp_path, "import os\nos._exit(3)\n")
+    (fault,) = check_file_apart(ends, BENCH).faults
+    assert "ends the process" in fault and "status 3" in fault
+    endless = write(tmp_path, GOOD.replace(LINE, "    while True:\n        pass"))
+    with pytest.raises(UserFileError, match="does not end within 1 s"):
+        apart(check_file, endless, BENCH, limit_s=1)
 
 
 def test_an_effect_in_the_users_folder_is_a_candidate_like_any_other(folder):

@@ -100,12 +100,12 @@ def _show(name: str, rig: "Rig", args: argparse.Namespace) -> int:
 
 
 def _check(path: Path, args: argparse.Namespace) -> int:
-    from tcbi_sim.effect_check import check_file
+    from tcbi_sim.effect_check import check_file_apart
     from tcbi_sim.rigs import RIGS, load_rig
 
     rigs = (load_rig(args.rig).name,) if args.rig else tuple(RIGS)
     with console.progress(f"trying {path.name}"):
-        check = check_file(path, rigs)
+        check = check_file_apart(path, rigs)
     if args.json:
         console.emit(_check_as_json(check))
     else:
@@ -136,7 +136,7 @@ def _tell(check: "Check") -> None:
 def _check_as_json(check: "Check") -> dict[str, Any]:
     return {
         "file": str(check.path),
-        "effect": check.effect.name if check.effect else None,
+        "effect": check.effect,
         "ok": not check.faults,
         "faults": check.faults,
         "trials": check.trials,

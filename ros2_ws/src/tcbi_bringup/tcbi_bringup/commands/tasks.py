@@ -57,15 +57,15 @@ def _list(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> int:
-    from tcbi_policy.task_check import check_file
+    from tcbi_policy.task_check import check_file_apart
 
     with console.progress(f"trying {args.file.name}"):
-        task, faults = check_file(args.file)
+        task, faults = check_file_apart(args.file)
     if args.json:
-        console.emit({"file": str(args.file), "task": task.name if task else None, "faults": faults})
+        console.emit({"file": str(args.file), "task": task, "faults": faults})
     else:
         for fault in faults:
             print(f"{args.file}: {fault}")
-        if not faults and task:
-            print(f"{args.file}: task {task.name} is fit for use; copy it to the folder that ./tcbi tasks names")
+        if not faults:
+            print(f"{args.file}: task {task} is fit for use; copy it to the folder that ./tcbi tasks names")
     return 1 if faults else 0
