@@ -2,22 +2,29 @@
 
 def main(args=None) -> int:
     return run("sim_node", SimNode, args)
+
+rclpy's own handlers shut the context down from another thread, in the midst of whatever the executor does, which at times
+ends in one of rclpy's errors, or never. Here a signal only ends the spinning: the callback in hand is finished,
+then the node is destroyed and the context shut down, in this order and in one thread.
 """
 
+import os
+import signal
 import sys
-import time
+import threading
 from collections.abc import Callable, Sequence
 
 import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import InvalidParameterException, InvalidParameterValueException
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from tcbi_contract.errors import TcbiError
 
-SIGNAL_S = 0.5  # for a signal to end the context
-RCLError = rclpy_implementation.RCLError  # rclpy gives it no public name
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, threads: int = 1) -> int:
@@ -32,21 +39,19 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
     Returns:
       The exit status.
     """
+    told = Told()
     node = None
     try:
-        rclpy.init(args=list(args) if args is not None else None)
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
         node = make()
         executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(num_threads=threads)
         executor.add_node(node)
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        told.interrupts(node)
+        while not told.to_end:
+            executor.spin_once()
     except (TcbiError, InvalidParameterException, InvalidParameterValueException) as error:
         sys.stderr.write(f"{name}: {' '.join(str(error).split())}\n")
         return 1
-    except (RCLError, RuntimeError):
-        if not _told_to_end():
-            raise  # else a signal came between two steps of the executor, or within a conversion of rclpy's
     finally:
         if node is not None:
             node.destroy_node()
@@ -54,9 +59,26 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
     return 0
 
 
-def _told_to_end() -> bool:
-    """Whether a signal ends the context, which its handler does from another thread."""
-    deadline = time.monotonic() + SIGNAL_S
-    while rclpy.ok() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return not rclpy.ok()
+class Told:
+    """Whether SIGINT or SIGTERM has come; ends the wait of a node's executor."""
+
+    def __init__(self) -> None:
+        self.to_end = False
+        self._guard: GuardCondition | None = None
+        heard, self._heard = os.pipe()
+        os.set_blocking(self._heard, False)
+        for number in SIGNALS:
+            signal.signal(number, lambda *_: None)  # what Python calls late, once the wait is over
+        signal.set_wakeup_fd(self._heard, warn_on_full_buffer=False)  # what the interpreter writes to at once
+        threading.Thread(target=self._listen, args=(heard,), name="signals", daemon=True).start()
+
+    def interrupts(self, node: Node) -> None:
+        """Name the node whose executor waits."""
+        self._guard = node.create_guard_condition(lambda: None, callback_group=ReentrantCallbackGroup())
+
+    def _listen(self, heard: int) -> None:
+        while os.read(heard, 1)[0] not in SIGNALS:
+            pass
+        self.to_end = True
+        if self._guard is not None:
+            self._guard.trigger()

@@ -33,6 +33,7 @@ from tcbi_msgs.srv import AddEffect, LoadModel
 from tcbi_sim.store import LATEST, ModelStore
 
 DIAGNOSIS_POLL_S = 0.1
+ENDING_S = 4.0  # for a diagnosis to end with the node
 BUSY_S = 10.0  # before a busy retrain server is asked again
 INFERENCE_LOAD_MODEL = f"inference/{names.LOAD_MODEL}"  # the simulator serves load_model for what it simulates
 
@@ -85,7 +86,7 @@ class InferenceNode(Node):
         self._trained_on = self._store.load(self._model).version
         self._news: dict[str, Any] = {}
         self._state, self._fault = "waiting for rollouts", ""
-        self._training = self._diagnosing = False
+        self._training = self._diagnosing = self._closing = False
         self._wish: Retrain.Goal | None = None  # for a training; a later one takes its place
         self._ask_after = 0.0  # s of the steady clock
         self._open()
@@ -256,7 +257,7 @@ class InferenceNode(Node):
         )
         result, finished = Diagnose.Result(message="cancelled"), False
         try:
-            while not (finished or handle.is_cancel_requested):
+            while not (finished or handle.is_cancel_requested or self._closing):
                 finished = any([self._on_diagnosis(handle, event, result) for event in worker.events()])
                 time.sleep(DIAGNOSIS_POLL_S)
         finally:
@@ -306,7 +307,11 @@ class InferenceNode(Node):
         self._diagnostics.publish(array)
 
     def destroy_node(self) -> None:
-        """End the worker, then the node."""
+        """End the workers, then the node."""
+        self._closing = True
+        deadline = time.monotonic() + ENDING_S
+        while self._diagnosing and time.monotonic() < deadline:
+            time.sleep(DIAGNOSIS_POLL_S)
         if self._worker is not None:
             self._worker.stop()
         super().destroy_node()
