@@ -1,6 +1,6 @@
 """How fast and how large the dashboard is: first page, slider, memory with many rollouts, growth while it is looked at.
 
-    ./tcbi python bench/dashboard.py --rollouts 500 --minutes 60
+    ./tcbi bench dashboard -- --rollouts 500 --minutes 60
 
 Needs Playwright and Chromium. The rollouts are one second of a servo bench each; the slider is moved on a hexapod.
 """
@@ -14,11 +14,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import psutil
 from playwright.sync_api import sync_playwright
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tcbi_bringup.commands.bench import figure
 from tests.dashboard_cases import BROWSERS, SOFTWARE_GL, Server, bench_rollouts, record
 
 FIRST_PAGES = 5
@@ -37,19 +39,19 @@ SLIDER = """async () => {
 def main() -> int:
     """Measure and print one JSON object."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="20 rollouts")
     parser.add_argument("--rollouts", type=int, default=500)
     parser.add_argument("--minutes", type=float, default=0.0, help="look at the page for so long")
     parser.add_argument("--motion", type=Path, nargs="*", default=[], help="bags of a hexapod, for the slider")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         store = Path(folder)
-        record(store, bench_rollouts(args.rollouts // 2, seconds=1.0))
-        result = {"rollouts": args.rollouts, "slider_frames_per_s": None}
+        record(store, bench_rollouts((20 if args.quick else args.rollouts) // 2, seconds=1.0))
         if args.motion:
             _compare(store, args.motion)
         with Server(store) as server, sync_playwright() as playwright:
-            result |= _measure(server, playwright, args.minutes, bool(args.motion))
-    print(json.dumps(result, indent=1))
+            figures = _measure(server, playwright, args.minutes, bool(args.motion))
+    print(json.dumps({"name": "dashboard", "figures": figures}, indent=2))
     return 0
 
 
@@ -61,7 +63,7 @@ def _compare(store: Path, bags: list[Path]) -> None:
     subprocess.run([sys.executable, "-m", MODULE], input=task.to_json() + "\n", text=True, check=True)
 
 
-def _measure(server: Server, playwright, minutes: float, slider: bool) -> dict:
+def _measure(server: Server, playwright, minutes: float, slider: bool) -> list[dict[str, Any]]:
     path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", *SOFTWARE_GL])
     process = psutil.Process(server.pid)
@@ -76,10 +78,13 @@ def _measure(server: Server, playwright, minutes: float, slider: bool) -> dict:
     page = browser.new_page()
     page.goto(server.address)
     page.wait_for_selector(".tcbi-main .tcbi-card")
-    result: dict = {"first_page_s": {"median": statistics.median(seconds), "worst": max(seconds)}}
+    figures = [
+        figure("first page, median", statistics.median(seconds), "s", most=2.0),
+        figure("first page, slowest", max(seconds), "s", most=2.0),
+    ]
     if slider:
         page.wait_for_function("Number(document.querySelector('.tcbi-transport input')?.max) > 10")
-        result["slider_frames_per_s"] = page.evaluate(SLIDER)
+        figures.append(figure("slider", page.evaluate(SLIDER), "frames/s", least=20.0))
     for view in ("Live", "Where", "Why", "Add", "Reports", "Compare"):
         page.get_by_role("tab", name=view, exact=True).click()
         page.wait_for_timeout(2000)
@@ -90,7 +95,12 @@ def _measure(server: Server, playwright, minutes: float, slider: bool) -> dict:
         page.reload()
         memory.append(process.memory_info().rss / 1e6)
     browser.close()
-    return {**result, "memory_mb": {"after_all_views": memory[0], "at_the_end": memory[-1], "most": max(memory)}}
+    return [
+        *figures,
+        figure("memory after all views", memory[0], "MB", most=300.0),
+        figure("memory at the end", memory[-1], "MB", most=300.0),
+        figure("memory at most", max(memory), "MB", most=300.0),
+    ]
 
 
 if __name__ == "__main__":

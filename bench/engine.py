@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from tcbi_bringup.commands.bench import figure
 from tcbi_sim.engine import Simulator, simulate
 from tcbi_sim.measurement import Commands, Scenario
 from tcbi_sim.mjcf import materialise
@@ -78,26 +79,20 @@ def measure(pairs: int) -> list[dict[str, Any]]:
         threads.append(seconds(lambda: engine(1)) / two)
         plain.append(seconds(loop) / stepping)
     return [
-        figure("engine to bare batched stepping, median", statistics.median(overhead), 1.05, above=False),
-        figure("one thread to all threads, median", statistics.median(threads), 1.8, above=True),
-        figure("plain loop to bare batched stepping, median", statistics.median(plain), 1.8, above=True),
+        figure("engine to bare batched stepping, median", statistics.median(overhead), "1", most=1.05),
+        figure("one thread to all threads, median", statistics.median(threads), "1", least=1.8),
+        figure("plain loop to bare batched stepping, median", statistics.median(plain), "1", least=1.8),
     ]
 
 
-def figure(name: str, value: float, target: float, above: bool) -> dict[str, Any]:
-    """One measured ratio beside its target."""
-    met = value >= target if above else value <= target
-    return {"name": name, "value": round(value, 3), "unit": "1", "target": target, "met": bool(met)}
-
-
-def main() -> int:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(name: str, doc: str, figures: Callable[[int], list[dict[str, Any]]]) -> int:
+    """Measure in pairs and print."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="three pairs")
     options = parser.parse_args()
-    print(json.dumps({"name": "engine", "figures": measure(3 if options.quick else 7)}, indent=2))
+    print(json.dumps({"name": name, "figures": figures(3 if options.quick else 7)}, indent=2))
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main("engine", __doc__, measure))

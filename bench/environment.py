@@ -4,20 +4,19 @@
 ./tcbi python bench/environment.py --quick    # three
 """
 
-import argparse
 import functools
 import itertools
-import json
 import statistics
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from engine import main, seconds
 from mujoco.batch import Batch
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from tcbi_bringup.commands.bench import figure
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_policy.environment import TIMESTEP_S, HexapodEnv, HexapodVectorEnv
 from tcbi_policy.gaits import Gait
@@ -26,13 +25,6 @@ from tcbi_sim.model import base_model
 COUNT = 64  # environments, as many as a training steps
 SINGLES = 8  # of DummyVecEnv, whose cost is proportional to them
 SETTLE_STEPS = round(1.0 / TIMESTEP_S)
-
-
-def seconds(work: Callable[[], Any]) -> float:
-    """Wall time of one run."""
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
 
 
 def measure(pairs: int) -> list[dict[str, Any]]:
@@ -64,9 +56,9 @@ def measure(pairs: int) -> list[dict[str, Any]]:
         shares.append(seconds(physics) / whole)
         speedups.append((seconds(one_by_one) / SINGLES) / (whole / COUNT))
     return [
-        figure("share of the environment's time that is physics, median", statistics.median(shares), 0.8),
+        figure("share of the environment's time that is physics, median", statistics.median(shares), "1", least=0.8),
         figure("DummyVecEnv over single environments to the vector environment, time of a control step, median",
-               statistics.median(speedups), 3.0),
+               statistics.median(speedups), "1", least=3.0),
     ]  # fmt: skip
 
 
@@ -96,19 +88,5 @@ def bare_physics(environment: HexapodVectorEnv, actions: list[np.ndarray]) -> Ca
     return run
 
 
-def figure(name: str, value: float, target: float) -> dict[str, Any]:
-    """One measured ratio beside its target."""
-    return {"name": name, "value": round(value, 3), "unit": "1", "target": target, "met": bool(value >= target)}
-
-
-def main() -> int:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="three pairs")
-    options = parser.parse_args()
-    print(json.dumps({"name": "environment", "figures": measure(3 if options.quick else 7)}, indent=2))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main("environment", __doc__, measure))

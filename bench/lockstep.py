@@ -26,6 +26,7 @@ from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from tcbi_bringup.commands.bench import figure
 from tcbi_bringup.launcher import Graph
 from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes
 from tcbi_contract import messages, names
@@ -131,18 +132,12 @@ def measure(number: int, duration_s: float, store: Path) -> list[dict[str, Any]]
     lost = sum(wanted - len(seen) for bag in found for seen in bag.values())
     different = len({digest(bag) for bag in found}) - 1
     return [
-        figure("simulated to wall time, running, median", statistics.median(running), "1", TARGET_RATIO, above=True),
-        figure("simulated to wall time, running, slowest", min(running), "1", TARGET_RATIO, above=True),
-        figure("simulated to wall time, BEGIN to END, median", statistics.median(whole), "1", TARGET_RATIO, above=True),
-        figure("sensor messages missing from the bags", lost, "1", 0, above=False),
-        figure("rollouts of one seed that differ", different, "1", 0, above=False),
+        figure("simulated to wall time, running, median", statistics.median(running), "1", least=TARGET_RATIO),
+        figure("simulated to wall time, running, slowest", min(running), "1", least=TARGET_RATIO),
+        figure("simulated to wall time, BEGIN to END, median", statistics.median(whole), "1", least=TARGET_RATIO),
+        figure("sensor messages missing from the bags", lost, "1", most=0),
+        figure("rollouts of one seed that differ", different, "1", most=0),
     ]
-
-
-def figure(name: str, value: float, unit: str, target: float, above: bool) -> dict[str, Any]:
-    """One measured figure beside its target."""
-    met = value >= target if above else value <= target
-    return {"name": name, "value": round(value, 2), "unit": unit, "target": target, "met": bool(met)}
 
 
 def main() -> int:

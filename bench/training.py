@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from tcbi_bringup.commands.bench import figure
 from tcbi_infer.report.plots import BLUE, GREY, STYLE, WIDE
 from tcbi_policy.configuration import preset
 from tcbi_policy.training import Training
@@ -73,8 +74,8 @@ def figures(found: list[Result]) -> list[dict[str, Any]]:
     if task == "balance":
         times = [time_to_half(r["curve"], key) for r in found]
         share = float(np.mean([t <= BUDGET_S for t in times]))
-        rows.insert(0, figure("processor time to half the tilt, median", float(np.median(times)), "s", BUDGET_S, False))
-        rows.insert(0, figure(f"share of seeds that halve the tilt in {BUDGET_S:.0f} s", share, "1", ENOUGH, True))
+        rows.insert(0, figure("processor time to half the tilt, median", float(np.median(times)), "s", most=BUDGET_S))
+        rows.insert(0, figure(f"share of seeds that halve the tilt in {BUDGET_S:.0f} s", share, "1", least=ENOUGH))
     return rows
 
 
@@ -113,13 +114,6 @@ def draw(found: list[Result], path: Path) -> None:
         axes.set_ylim(bottom=0)
         axes.legend()
         canvas.savefig(path, metadata={"Date": None})
-
-
-def figure(name: str, value: float, unit: str, target: float | None = None, above: bool = True) -> dict[str, Any]:
-    """One measured figure beside its target, if it has one."""
-    met = None if target is None else bool(value >= target if above else value <= target)
-    shown = round(value, 3) if np.isfinite(value) else None
-    return {"name": name, "value": shown, "unit": unit, "target": target, "met": met}
 
 
 def main() -> int:

@@ -111,7 +111,7 @@ def test_figures_stand_beside_their_targets() -> None:
     assert told["the same, at most, with 95 % confidence"]["value"] == pytest.approx(1 - 0.05 ** (1 / 20), abs=1e-3)
     first = told["strong effects ranked first"]
     assert (first["value"], first["unit"], first["met"]) == (0.9, "of 10", False)
-    assert told["90 % intervals of effects' sizes that hold the truth"]["target"] == [0.85, 0.95]
+    assert told["90 % intervals of effects' sizes that hold the truth"]["target"] == "0.85 to 0.95"
     assert told["intervals of payload that hold the truth"]["value"] == 1.0
     assert told["outside the library: flagged"]["met"] and told["payload (strong): wrong"]["value"] == 1
 

@@ -1,10 +1,11 @@
 """What many inferences of known truths say together: errors, coverage, calibration, and TCBI against the others."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from scipy.stats import kstest
+
+from tcbi_bringup.commands.bench import figure
 
 Result = dict[str, Any]
 Row = dict[str, Any]
@@ -54,7 +55,7 @@ def _of(name: str, group: list[Result]) -> list[Row]:
         mine = [r["parameters"][i] for r in group]
         value, unit = error(mine)
         target = TARGET_ERROR.get(p["name"]) if aimed else None
-        rows.append(figure(f"{name}: RMSE of {p['name']}, {n} truths", value, unit, target, lambda v, t: v <= t))
+        rows.append(figure(f"{name}: RMSE of {p['name']}, {n} truths", value, unit, most=target))
         rows.append(figure(f"{name}: error of {p['name']} over the prior's", relative_error(mine), "1"))
     if case["method"] in ("prior", "bayesopt"):
         return rows
@@ -64,8 +65,7 @@ def _of(name: str, group: list[Result]) -> list[Row]:
             f"{name}: 90 % intervals that hold the truth, of {len(every)}",
             coverage(every),
             "1",
-            TARGET_COVERAGE,
-            lambda v, t: t[0] <= v <= t[1],
+            *TARGET_COVERAGE,
         )
     )
     rows += [
@@ -105,7 +105,7 @@ def _against(name: str, other: list[Result], own: list[Result]) -> list[Row]:
     low, high = np.quantile(ratios, [0.05, 0.95])
     value = float(np.sqrt(pairs[:, 0].sum() / max(pairs[:, 1].sum(), 1e-12)))
     text = f"{name}: {TCBI}'s error over its, {len(pairs)} truths, 90 % {low:.2f} to {high:.2f}"
-    return [figure(text, value, "1", 1.0, lambda v, t: v < t)]
+    return [figure(text, value, "1", most=1.0)]
 
 
 def squares(result: Result) -> float:
@@ -131,18 +131,3 @@ def relative_error(mine: list[dict[str, Any]]) -> float:
 def coverage(mine: list[dict[str, Any]]) -> float:
     """Share of 90 % intervals that hold the truth."""
     return float(np.mean([p["low90"] <= p["truth"] <= p["high90"] for p in mine]))
-
-
-def figure(
-    name: str, value: float, unit: str, target: Any = None, meets: Callable[[Any, Any], bool] | None = None
-) -> Row:
-    """One measured figure beside its target, if it has one."""
-    met = None if target is None or meets is None else bool(meets(value, target))
-    shown = " to ".join(f"{t:g}" for t in target) if isinstance(target, tuple) else target
-    return {
-        "name": name,
-        "value": round(value, 3) if np.isfinite(value) else None,
-        "unit": unit,
-        "target": shown,
-        "met": met,
-    }

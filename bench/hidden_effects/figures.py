@@ -9,6 +9,7 @@ from scipy.special import betaincinv
 
 from hidden_effects import outcomes
 from hidden_effects.truth import Result, base_hits, finite, outside, size_hits
+from tcbi_bringup.commands.bench import figure
 from tcbi_bringup.emulated_robot.hidden_names import NONE, STRENGTHS, parts
 
 Figure = dict[str, Any]
@@ -132,13 +133,3 @@ def median(values: Iterable[float]) -> float:
 
 def _or_nan(reduce: Callable[[Any], Any], values: list[Any]) -> float:
     return float(reduce(values)) if values else math.nan
-
-
-def figure(name: str, value: float, unit: str, least: float | None = None, most: float | None = None) -> Figure:
-    """One measured figure beside its target, if it has one."""
-    target: Any = [least, most] if least is not None and most is not None else most if least is None else least
-    met = None
-    if target is not None and not math.isnan(value):
-        met = (least is None or value >= least) and (most is None or value <= most)
-    return {"name": name, "value": None if math.isnan(value) else round(value, 3), "unit": unit, "target": target,
-            "met": met}  # fmt: skip

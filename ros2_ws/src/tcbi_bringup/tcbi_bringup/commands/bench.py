@@ -2,9 +2,11 @@
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from tcbi_bringup.commands import console
 from tcbi_bringup.commands.test import checkout
@@ -48,9 +50,25 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         console.emit(result)
         return 0
-    rows = [[f["name"], f["value"], f["unit"], f["target"], "yes" if f["met"] else "no"] for f in result["figures"]]
+    said = {True: "yes", False: "no", None: None}
+    rows = [[f["name"], f["value"], f["unit"], f["target"], said[f["met"]]] for f in result["figures"]]
     console.table(result["name"], ["figure", "value", "unit", "target", "met"], rows)
     return 0
+
+
+def figure(name: str, value: float, unit: str, least: float | None = None, most: float | None = None) -> dict[str, Any]:
+    """One of the figures that a benchmark prints, beside its target: at least, at most, or a range."""
+    bounds = [bound for bound in (least, most) if bound is not None]
+    met = None
+    if bounds and not math.isnan(value):
+        met = bool((least is None or value >= least) and (most is None or value <= most))
+    return {
+        "name": name,
+        "value": round(float(value), 3) if math.isfinite(value) else None,
+        "unit": unit,
+        "target": " to ".join(f"{bound:g}" for bound in bounds) if len(bounds) > 1 else next(iter(bounds), None),
+        "met": met,
+    }
 
 
 def _output(script: Path, options: list[str]) -> str:
