@@ -39,13 +39,13 @@ def to_xml(model: Model, parameters: np.ndarray | None = None) -> str:
 def _copy(model: mujoco.MjModel, spec: mujoco.MjSpec) -> None:
     """Write what effects may have changed back into the spec."""
     for body in spec.bodies[1:]:
-        own = model.body(body.name)
+        own = model.body(body.id)
         body.explicitinertial = True
         body.mass, body.ipos, body.iquat, body.inertia = own.mass[0], own.ipos, own.iquat, own.inertia
         body.fullinertia = [np.nan] * 6
         body.pos, body.quat = own.pos, own.quat
     for joint in spec.joints:
-        own = model.joint(joint.name)
+        own = model.joint(joint.id)
         if own.type[0] == mujoco.mjtJoint.mjJNT_FREE:
             continue
         dof = own.dofadr[0]
@@ -54,17 +54,17 @@ def _copy(model: mujoco.MjModel, spec: mujoco.MjSpec) -> None:
         joint.stiffness = [own.stiffness[0], *([0.0] * (len(joint.stiffness) - 1))]
         joint.range = own.range
     for geom in spec.geoms:
-        own = model.geom(geom.name)
+        own = model.geom(geom.id)
         geom.friction, geom.solref, geom.solimp = own.friction, own.solref, own.solimp
         if own.type[0] == mujoco.mjtGeom.mjGEOM_BOX:
             geom.pos, geom.quat = own.pos, own.quat
     for site in spec.sites:
-        site.pos = model.site(site.name).pos
+        site.pos = model.site(site.id).pos
     for tendon in spec.tendons:
-        stiffness = model.tendon_stiffness[model.tendon(tendon.name).id]
+        stiffness = model.tendon_stiffness[tendon.id]
         tendon.stiffness = [stiffness, *([0.0] * (len(tendon.stiffness) - 1))]
     for actuator in spec.actuators:
-        own = model.actuator(actuator.name)
+        own = model.actuator(actuator.id)
         actuator.gainprm, actuator.biasprm, actuator.forcerange = own.gainprm, own.biasprm, own.forcerange
         if own.biasprm[2] > 0:  # MuJoCo would take it for a damping ratio where gain and bias are exactly opposite
             actuator.gainprm[0] *= 1 + 1e-5

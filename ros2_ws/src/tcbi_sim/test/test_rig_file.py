@@ -147,10 +147,16 @@ def test_a_built_in_name_is_not_taken_over(folder):
 
 
 @pytest.mark.parametrize("name", ["so101_arm", "double_pendulum"])
-def test_described_rigs_come_with_the_package(name):
+def test_described_rigs_come_with_the_package_and_are_saved_with_effects(name, tmp_path):
+    """Their shapes have no names, as in many users' files."""
     rig = load_rig(name)
     assert name in RIGS and candidates(rig)
-    rig.build(0).compile()
+    saved = ModelStore(tmp_path).save(base_model(rig).with_effect("rotor_inertia"))
+    inertia = saved.mean()[saved.names.index("rotor_inertia.inertia")]
+    exported = mujoco.MjModel.from_xml_path(str(tmp_path / "models" / saved.version / "model.xml"))
+    own = rig.build(0).compile()
+    np.testing.assert_allclose(exported.dof_armature, own.dof_armature + inertia, rtol=1e-4)
+    assert exported.ngeom == own.ngeom > 0
 
 
 def test_the_so101_droops_only_where_it_carries_weight():
