@@ -1,7 +1,6 @@
 """The page's long work, one job a process: the page never waits, and a cancelled job leaves nothing half done.
 
-A job is one JSON object on standard input; events are JSON objects on standard output, one a line, each with `event`:
-`progress`, then `result`, and at last `done` or `failed`, as `tcbi_infer.inference_worker` has them.
+Its events, as `tcbi_infer.worker_process` passes them on: `progress`, then `result`.
 
     python -m tcbi_dashboard.work < job.json
 """
@@ -9,17 +8,15 @@ A job is one JSON object on standard input; events are JSON objects on standard 
 import dataclasses
 import json
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tcbi_contract.errors import TcbiError
 from tcbi_dashboard.names import DIAGNOSIS, MEASURED, MOMENTS
 from tcbi_dashboard.task import ADD, COLLECT, COMPARE, DIAGNOSE, HISTORY, INFER, REMOVE, RETRAIN, Task
-from tcbi_infer.inference_worker import Emit, finite
+from tcbi_infer.worker_process import Emit, finite, serve
 from tcbi_sim.store import ModelStore
 
 READY_S = 10.0  # for the recorder of the graph to be there
@@ -238,23 +235,12 @@ RUNS: dict[str, Callable[[Task, Emit], None]] = {
 
 def main() -> int:
     """Run the task on standard input; 0 done, 1 failed."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    out, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints must not mix with the events
 
-    def emit(event: str, **content: Any) -> None:
-        out.write(json.dumps({"event": event, **finite(content)}) + "\n")
-        out.flush()
-
-    try:
-        task = Task.from_json(sys.stdin.readline())
+    def run(line: str, emit: Emit) -> None:
+        task = Task.from_json(line)
         RUNS[task.kind](task, emit)
-        emit("done")
-        return 0
-    except TcbiError as e:
-        emit("failed", message=" ".join(str(e).split()))
-        return 1
-    except (KeyboardInterrupt, BrokenPipeError):  # cancelled, or the page has died
-        return 1
+
+    return serve(run)
 
 
 if __name__ == "__main__":

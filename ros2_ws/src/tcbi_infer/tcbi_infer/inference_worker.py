@@ -1,22 +1,18 @@
 """The inference node's other half: one job a process, so that simulations never hold up a callback.
 
-A job is one JSON object on standard input; events are JSON objects on standard output, one a line, each with `event`:
-`progress`, `posterior`, `model_error`, `diagnosis`, and at last `done` or `failed`.
+Its events, as `worker_process` passes them on: `progress`, `posterior`, `model_error`, `diagnosis`.
 
     python -m tcbi_infer.inference_worker < job.json
 """
 
 import dataclasses
 import json
-import signal
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from tcbi_contract.errors import TcbiError
 from tcbi_infer import posterior
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare import compare
@@ -25,13 +21,13 @@ from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result
+from tcbi_infer.worker_process import Emit, serve
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
 INFER, DIAGNOSE = "infer", "diagnose"
 DRAWS = 200  # equally weighted particles that a message carries
-Emit = Callable[..., None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,36 +152,14 @@ def run_diagnosis(job: Job, emit: Emit) -> None:
     emit("diagnosis", **diagnose(model, measurements, progress=watch).to_json())
 
 
-def finite(value: Any) -> Any:
-    """NaN and infinity as None, which JSON knows."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
-
-
 def main() -> int:
     """Run the job on standard input; 0 done, 1 failed."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    out, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints must not mix with the events
 
-    def emit(event: str, **content: Any) -> None:
-        out.write(json.dumps({"event": event, **finite(content)}) + "\n")
-        out.flush()
-
-    try:
-        job = Job.from_json(sys.stdin.readline())
+    def run(line: str, emit: Emit) -> None:
+        job = Job.from_json(line)
         {INFER: run_inference, DIAGNOSE: run_diagnosis}[job.kind](job, emit)
-        emit("done")
-        return 0
-    except TcbiError as e:
-        emit("failed", message=" ".join(str(e).split()))
-        return 1
-    except KeyboardInterrupt:
-        return 1
+
+    return serve(run)
 
 
 if __name__ == "__main__":

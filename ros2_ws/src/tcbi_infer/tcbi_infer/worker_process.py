@@ -1,15 +1,25 @@
-"""A worker process watched without blocking: start it with a job, ask now and then what it said."""
+"""Both ends of a worker process: `Worker` starts one and never waits for it, `serve` is what one does.
+
+A job is one JSON object on standard input; events are JSON objects on standard output, one a line, each with `event`:
+what the job tells, and at last `done` or `failed`.
+"""
 
 import json
 import queue
+import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Protocol
+
+import numpy as np
+
+from tcbi_contract.errors import TcbiError
 
 STOP_TIMEOUT_S = 5.0
 INFERENCE = "tcbi_infer.inference_worker"
+Emit = Callable[..., None]  # an event's name, and what it tells
 
 
 class Job(Protocol):
@@ -19,7 +29,7 @@ class Job(Protocol):
 
 
 class Worker:
-    """One run of `tcbi_infer.inference_worker`, or of another module that reads a job and writes events like it."""
+    """One run of `tcbi_infer.inference_worker`, or of another module whose `main` is `serve`."""
 
     def __init__(self, job: Job, module: str = INFERENCE):
         self.job = job
@@ -66,3 +76,34 @@ class Worker:
                 self._process.kill()
                 self._process.wait()
         self._reader.join(STOP_TIMEOUT_S)
+
+
+def serve(run: Callable[[str, Emit], None]) -> int:
+    """Be a worker: `run` the line on standard input; the exit status is 0 when done, 1 when failed or ended."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    out, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints must not mix with the events
+
+    def emit(event: str, **content: Any) -> None:
+        out.write(json.dumps({"event": event, **finite(content)}) + "\n")
+        out.flush()
+
+    try:
+        run(sys.stdin.readline(), emit)
+        emit("done")
+        return 0
+    except TcbiError as e:
+        emit("failed", message=" ".join(str(e).split()))
+        return 1
+    except (KeyboardInterrupt, BrokenPipeError):  # ended, or who asked for it has died
+        return 1
+
+
+def finite(value: Any) -> Any:
+    """NaN and infinity as None, which JSON knows."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

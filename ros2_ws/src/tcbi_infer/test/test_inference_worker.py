@@ -10,9 +10,9 @@ import pytest
 from tcbi_cases import bench_rollouts
 
 from tcbi_infer.bags.measurement_writer import write_measurement
-from tcbi_infer.inference_worker import INFER, Job, finite, moved, run_inference
+from tcbi_infer.inference_worker import INFER, Job, moved, run_inference
 from tcbi_infer.rollout_folder import RolloutFolder
-from tcbi_infer.worker_process import Worker
+from tcbi_infer.worker_process import Worker, finite
 from tcbi_sim.model import base_model
 from tcbi_sim.store import ModelStore
 
