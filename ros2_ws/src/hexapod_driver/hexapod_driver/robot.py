@@ -60,7 +60,7 @@ class Robot:
         self._limp_timer = Timer(CONTROL_PERIOD_S, now)
         self._alive_timer = Timer(KEEP_ALIVE_S, now)
         self._stream_timer = Timer(STREAM_RETRY_S, now)
-        self._last_sample = self._last_reply = now
+        self._last_sample = now
         self._last_board_us: int | None = None
         self._purpose: dict[int, Callable[[BusReply], None]] = {}
         self._posture: PostureMove | None = None

@@ -54,6 +54,7 @@ def _link(link: Link) -> Status:
         "late_replies": str(counters.late_replies),
         "incomplete_readings": str(robot.health.incomplete_reads),
         "skipped_questions": str(robot.health.skipped_questions),
+        "limited_commands": str(robot.health.limited_commands),
         "clock_restarts": str(robot.wire.board_clock.restarts),
     }
     if link.identity is not None:

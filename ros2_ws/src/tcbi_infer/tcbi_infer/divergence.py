@@ -1,9 +1,9 @@
 """How far two distributions are apart: small functions by name, the user's own among them (docs/tcbi.md).
 
 Every function takes samples, `(n,)` of the real robot and `(N, m)` of N simulations, and returns `(N,)`
-values that are zero for equal distributions. NaN marks a sample that was not measured. `js` and `wasserstein` also
-exist on histograms (`js_binned`, `wasserstein_binned`), which is what the weights are computed from: counts of several
-rollouts can be added, so that any subset of rollouts can be judged without going back to the samples.
+values that are zero for equal distributions. NaN marks a sample that was not measured. `js` also exists on histograms
+(`js_binned`), which is what the weights are computed from: counts of several rollouts can be added, so that any subset
+of rollouts can be judged without going back to the samples.
 """
 
 import functools
@@ -77,12 +77,6 @@ def js_binned(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     empty = (p.sum(axis=-1) == 0) | (q.sum(axis=-1) == 0)
     value = _entropy(0.5 * (p + q)) - 0.5 * (_entropy(p) + _entropy(q))
     return np.where(empty, LOG2, np.maximum(value, 0.0))
-
-
-def wasserstein_binned(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-    """First Wasserstein distance of (..., B) counts, in shares of the real data's range; tails count as one bin."""
-    gap = np.cumsum(normalised(real) - normalised(simulated), axis=-1)
-    return np.abs(gap).sum(axis=-1) / (real.shape[-1] - 2)
 
 
 def js(real: np.ndarray, simulated: np.ndarray, bins: int = BINS) -> np.ndarray:

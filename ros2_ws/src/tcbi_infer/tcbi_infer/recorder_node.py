@@ -73,7 +73,6 @@ class RecorderNode(Node):
         self.poses: list[bytes] = []  # first and newest of the present rollout
         self.distance: float | None = None  # the operator's entry
         self.policy_id = ""  # of the policy that is loaded, as far as it is known
-        self._own_event: bytes = b""
         self._foreign_end: bytes | None = None
         self._listen()
         self.events = self.create_publisher(RolloutEvent, names.ROLLOUT_EVENT, messages.LATCHED_QOS)

@@ -3,12 +3,12 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from tcbi_sim.fields import SensingFields
-from tcbi_sim.measurement import quaternion_from_rpy
+from tcbi_sim.measurement import Measurement, quaternion_from_rpy
 from tcbi_sim.rig import Noise
 
 
@@ -108,7 +108,10 @@ def delay(samples: Samples, latency: np.ndarray, times: np.ndarray) -> Samples:
     return delayed
 
 
-def add_noise(samples: Samples, noise: Noise, rng: np.random.Generator) -> Samples:
+Sensed = TypeVar("Sensed", Samples, Measurement)
+
+
+def add_noise(samples: Sensed, noise: Noise, rng: np.random.Generator) -> Sensed:
     """White noise and the encoder's steps, as the rig's sensors have them."""
 
     def noisy(values: np.ndarray | None, sd: float) -> np.ndarray | None:
@@ -118,16 +121,18 @@ def add_noise(samples: Samples, noise: Noise, rng: np.random.Generator) -> Sampl
     assert joints is not None
     if noise.encoder_step:
         joints = np.round(joints / noise.encoder_step) * noise.encoder_step
-    attitude = samples.attitude
-    if attitude is not None:
-        small = noise.attitude / 2 * rng.standard_normal((*attitude.shape[:-1], 3))
-        attitude = multiply(attitude, np.concatenate([np.ones((*small.shape[:-1], 1)), small], axis=-1))
-        attitude = attitude / np.linalg.norm(attitude, axis=-1, keepdims=True)
     return dataclasses.replace(
         samples,
         joint_position=joints,
-        attitude=attitude,
+        attitude=None if samples.attitude is None else _tilted(samples.attitude, noise.attitude, rng),
         angular_velocity=noisy(samples.angular_velocity, noise.angular_velocity),
         linear_acceleration=noisy(samples.linear_acceleration, noise.linear_acceleration),
         position=noisy(samples.position, noise.position),
     )
+
+
+def _tilted(attitude: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
+    """(..., 4) quaternions turned about a random axis, `sd` (rad) about each of the body's."""
+    half = sd / 2 * rng.standard_normal((*attitude.shape[:-1], 3))
+    turned = multiply(attitude, np.concatenate([np.ones((*half.shape[:-1], 1)), half], axis=-1))
+    return turned / np.linalg.norm(turned, axis=-1, keepdims=True)

@@ -5,6 +5,7 @@ with PseudoTerminal() as terminal:
     serve(electronics, [terminal], stop)     # until `stop` is set
 """
 
+import contextlib
 import errno
 import os
 import select
@@ -26,12 +27,10 @@ class PseudoTerminal:
 
     Attributes:
       path: what the computer opens; the link if one was asked for.
-      dropped: bytes that nobody read.
     """
 
     def __init__(self, link: Path | None = None) -> None:
         """Make a terminal, and a symbolic link to it if `link` is given (an old link there is replaced)."""
-        self.dropped = 0
         self._robot, self._computer = os.openpty()
         tty.setraw(self._robot)
         tty.setraw(self._computer)
@@ -67,11 +66,9 @@ class PseudoTerminal:
 
     def write(self, data: bytes) -> None:
         """Send to the computer what its buffer takes."""
-        try:
-            sent = os.write(self._robot, data) if data else 0
-        except BlockingIOError:
-            sent = 0
-        self.dropped += len(data) - sent
+        if data:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._robot, data)
 
     def close(self) -> None:
         """Pull the plug: whoever has the port open gets an I/O error."""

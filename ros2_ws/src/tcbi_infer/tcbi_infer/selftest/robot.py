@@ -21,7 +21,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
-from tcbi_sim.sensing import multiply
+from tcbi_sim.sensing import add_noise
 
 TIMESTEP = 0.0005  # s
 REPEATS = 2  # of each motion: what the robot differs from itself is its noise floor
@@ -94,7 +94,7 @@ class Robot:
             )
         return [
             dataclasses.replace(
-                noisy(out.measurement(i), rig, rng),
+                add_noise(out.measurement(i), rig.noise, rng),
                 rollout_id=f"{motion.name}-{repeat}",
                 policy_id=motion.name,
                 source="selftest",
@@ -147,29 +147,4 @@ def put_down(scenario: Scenario, rig: Rig, rng: np.random.Generator) -> Scenario
     roll, pitch = rng.normal(0.0, PUT_DOWN, 2)
     return dataclasses.replace(
         scenario, slope_roll=scenario.slope_roll + float(roll), slope_pitch=scenario.slope_pitch + float(pitch)
-    )
-
-
-def noisy(clean: Measurement, rig: Rig, rng: np.random.Generator) -> Measurement:
-    """A rollout as the rig's sensors see it: white noise, and the encoder's steps."""
-    noise = rig.noise
-
-    def white(values: np.ndarray | None, spread: float) -> np.ndarray | None:
-        return None if values is None else values + rng.normal(0.0, spread, values.shape)
-
-    joints = clean.joint_position + rng.normal(0.0, noise.joint_position, clean.joint_position.shape)
-    if noise.encoder_step > 0:
-        joints = noise.encoder_step * np.round(joints / noise.encoder_step)
-    attitude = clean.attitude
-    if attitude is not None:
-        half = rng.normal(0.0, noise.attitude / 2, (len(attitude), 3))
-        attitude = multiply(attitude, np.concatenate([np.ones((len(half), 1)), half], axis=1))
-        attitude = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
-    return dataclasses.replace(
-        clean,
-        joint_position=joints,
-        attitude=attitude,
-        angular_velocity=white(clean.angular_velocity, noise.angular_velocity),
-        linear_acceleration=white(clean.linear_acceleration, noise.linear_acceleration),
-        position=white(clean.position, noise.position),
     )

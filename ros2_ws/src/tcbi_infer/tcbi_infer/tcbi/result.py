@@ -32,7 +32,6 @@ class Estimate:
     high90: float
     prior_sd: float
     variance_ratio: float  # posterior over prior variance, on the parameter's scale
-    variance_ratio_high: float  # its upper 95 % bound, given how few particles carry weight
     identified: bool  # whether the data say something about it
 
     def as_json(self) -> dict[str, Any]:
@@ -129,7 +128,6 @@ def estimates(
         values = p.from_unit(unit[:, i])
         mean, spread = mean_and_variance(values[:, None], weights)
         low90, high90 = quantiles(values[:, None], weights, [0.05, 0.95])[:, 0]
-        ratio, ratio_high = float(variance[i] / before[i]), float(high[i] / before[i])
         rows.append(
             Estimate(
                 p.name,
@@ -139,9 +137,8 @@ def estimates(
                 float(low90),
                 float(high90),
                 float(p.from_unit(grid[:, i]).std()),
-                ratio,
-                ratio_high,
-                bool(enough and ratio_high < IDENTIFIED_BELOW),
+                float(variance[i] / before[i]),
+                bool(enough and high[i] / before[i] < IDENTIFIED_BELOW),
             )
         )
     return tuple(rows)

@@ -12,7 +12,7 @@ NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
 DAMPING = 0.02  # N m s/rad, of bristles that bend
 LEAST = 1e-6  # N m; without any torque the bristles' stiffness would be undefined
 STRIBECK_SPEED = 0.1  # rad/s; without meaning while breaking away takes no more than sliding
-STIFFNESS_AT, DAMPING_AT = 5, 6  # columns of a friction actuator's dynprm
+STIFFNESS_AT = 5  # column of a friction actuator's dynprm
 SLIDING_AT, BREAKAWAY_AT = 3, 4  # columns of its biasprm
 
 
