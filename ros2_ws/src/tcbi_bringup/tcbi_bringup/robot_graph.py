@@ -1,18 +1,20 @@
 """Which processes make a graph: a robot or its simulation, and what acts, records, infers and trains beside it."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from tcbi_bringup.emulated_robot.hidden_names import STRENGTHS
 from tcbi_bringup.errors import LaunchError
-from tcbi_bringup.launcher import NodeProcess
+from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_policy.artefact import find_policy
 from tcbi_sim.store import ModelStore
 from tcbi_sim.tasks import find_task
 
 SIM, EMULATED = "sim", "emulated"
+PORT_S = 20.0  # time an emulated robot has to open its port
 
 
 @dataclass(frozen=True)
@@ -132,3 +134,34 @@ def companion_processes(options: GraphOptions) -> list[NodeProcess]:
     if options.learning:
         nodes += [node("tcbi_infer", "inference_node", store), node("tcbi_policy", "retrain_node", store)]
     return nodes
+
+
+def start_graph(
+    graph: Graph, options: GraphOptions, folder: Path, end_asked: Callable[[], bool] = lambda: False
+) -> None:
+    """Start all processes, an emulated robot's driver once there is a port to open.
+
+    Args:
+      graph: to start them in.
+      options: what to start.
+      folder: short path of a folder for an emulated robot's port and socket.
+      end_asked: whether somebody has asked for the end, who does not wait for the port.
+
+    Raises:
+      LaunchError: the emulated robot has ended, or opens no port.
+    """
+    for process in robot_processes(options, folder):
+        graph.start(process)
+        if not process.ros:
+            _wait_for_port(emulated_port(folder), graph, end_asked)
+    for process in companion_processes(options):
+        graph.start(process)
+
+
+def _wait_for_port(port: Path, graph: Graph, end_asked: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PORT_S
+    while not port.exists() and not end_asked():
+        graph.check_briefly()
+        if time.monotonic() > deadline:
+            raise LaunchError(f"the emulated robot opened no port within {PORT_S:g} s; see {graph.log_dir}")
+        time.sleep(0.05)

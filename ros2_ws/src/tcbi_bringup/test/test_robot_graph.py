@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tcbi_bringup.errors import LaunchError
-from tcbi_bringup.launcher import NodeProcess
-from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes
+from tcbi_bringup.launcher import Graph, NodeProcess
+from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes, start_graph
 from tcbi_policy.artefact import find_policy, save_policy
 from tcbi_policy.errors import PolicyDamaged, PolicyMisfit, PolicyNotFound
 from tcbi_policy.layout import HEXAPOD
@@ -114,3 +114,8 @@ def test_a_policy_whose_card_is_none_says_which_entry_is_missing(tmp_path):
     stem.with_suffix(".json").write_text("{}")
     with pytest.raises(PolicyDamaged, match="its card lacks 'format'"):
         GraphOptions(store=tmp_path, policy="bare").check()
+
+
+def test_an_emulated_robot_that_ends_at_once_is_told_before_anybody_waits_for_its_port(tmp_path):
+    with Graph(log_dir=tmp_path) as graph, pytest.raises(LaunchError, match="emulated_robot ended with"):
+        start_graph(graph, options(robot="emulated", hidden="nonsense"), tmp_path)

@@ -118,14 +118,7 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
     from tcbi_bringup.domain_lock import hold_domain, refuse_second_graph
     from tcbi_bringup.graph_monitor import GraphMonitor
     from tcbi_bringup.launcher import Graph
-    from tcbi_bringup.robot_graph import (
-        SIM,
-        GraphOptions,
-        companion_processes,
-        emulated_port,
-        newest_model,
-        robot_processes,
-    )
+    from tcbi_bringup.robot_graph import SIM, GraphOptions, newest_model, start_graph
 
     options = GraphOptions(
         robot=args.robot,
@@ -152,14 +145,7 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
         if args.robot == SIM:
             console.note_model(args.model, newest_model(options.store))
         console.note(f"starting {args.robot}; logs in {graph.log_dir}")
-        for process in robot_processes(options, Path(folder)):
-            graph.start(process)
-            if not process.ros:
-                from tcbi_bringup.commands.up import wait_for_port
-
-                wait_for_port(emulated_port(Path(folder)), graph, lambda: False)
-        for process in companion_processes(options):
-            graph.start(process)
+        start_graph(graph, options, Path(folder))
         yield graph.check_briefly
         graph.check_briefly()
 

@@ -13,7 +13,6 @@ from tcbi_bringup.commands import console
 
 SUMMARY = "Start the graph of nodes on a simulation, an emulated robot or a real one; Ctrl-C stops all of it."
 INTERRUPTED = 130
-PORT_S = 20.0  # time an emulated robot has to open its port
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,14 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_bringup.domain_lock import hold_domain, present_domain, refuse_second_graph
     from tcbi_bringup.graph_monitor import GraphMonitor
     from tcbi_bringup.launcher import Graph
-    from tcbi_bringup.robot_graph import (
-        SIM,
-        GraphOptions,
-        companion_processes,
-        emulated_port,
-        newest_model,
-        robot_processes,
-    )
+    from tcbi_bringup.robot_graph import SIM, GraphOptions, newest_model, start_graph
 
     options = GraphOptions(
         robot=args.robot,
@@ -85,12 +77,7 @@ def run(args: argparse.Namespace) -> int:
             tempfile.TemporaryDirectory(prefix="tcbi-") as run_folder,
             Graph(domain_id=domain, log_dir=folder, restart=True) as graph,
         ):
-            for process in robot_processes(options, Path(run_folder)):
-                graph.start(process)
-                if not process.ros:
-                    wait_for_port(emulated_port(Path(run_folder)), graph, asked)
-            for process in companion_processes(options):
-                graph.start(process)
+            start_graph(graph, options, Path(run_folder), asked)
             failure = watch(graph, monitor, options, f"ROS domain {domain}, logs in {folder}", asked)
             console.note("stopping")
             codes = graph.stop(*(s.name for s in graph.status() if s.name != "emulated_robot"))
@@ -117,21 +104,6 @@ def end_requests() -> Callable[[], bool]:
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
     return lambda: bool(came)
-
-
-def wait_for_port(port: Path, graph, asked: Callable[[], bool]) -> None:
-    """Wait until an emulated robot has opened its serial port."""
-    from tcbi_bringup.errors import LaunchError
-
-    deadline = time.monotonic() + PORT_S
-    while not port.exists() and not asked():
-        for status in graph.status():
-            if status.state == "given up":
-                console.note(graph.tail(status.name))
-                raise LaunchError(graph.explain(status))
-        if time.monotonic() > deadline:
-            raise LaunchError(f"the emulated robot opened no port within {PORT_S:g} s; see {graph.log_dir}")
-        time.sleep(0.05)
 
 
 def watch(graph, monitor, options, title: str, asked: Callable[[], bool]) -> str:
