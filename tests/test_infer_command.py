@@ -53,9 +53,11 @@ def test_the_table_says_of_each_parameter_whether_the_data_tell(bags, tmp_path, 
 
 
 def test_few_effective_particles_tell_nothing_whatever_their_spread(bags, tmp_path, capsys) -> None:
-    assert infer(bags, tmp_path, "--particles", "10", "--generations", "1") == 0
+    page = tmp_path / "page.html"
+    assert infer(bags, tmp_path, "--particles", "10", "--generations", "1", "--report", str(page)) == 0
     text = capsys.readouterr().out
     assert text.count("cannot say") == 3 and "fewer than 10 effective particles tell nothing" in text
+    assert page.read_text().count("cannot say") == 3, "the report says the same"
 
 
 def test_the_report_shows_generations_beside_the_known_truth(bags, tmp_path, capsys) -> None:

@@ -7,6 +7,7 @@ from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
     from tcbi_infer.tcbi.driver import Progress
+    from tcbi_infer.tcbi.method import Method
     from tcbi_infer.tcbi.result import Result
 
 SUMMARY = "Infer a model's parameters from bags (task-consistent Bayesian inference) and save them as a new version."
@@ -142,12 +143,12 @@ def run(args: argparse.Namespace) -> int:
     for line in result.warnings:
         console.note(line)
     report = Report(f"What {saved.version} knows", f"Posterior of {model.version}, inferred by {method.name}.")
-    add_inference(report, result, method.caveat, truth)
+    add_inference(report, result, method, truth)
     path = report.write(args.report or store.models / saved.version / "inference.html")
     if args.json:
         console.emit({**as_json(result, saved.version), "report": str(path)})
     else:
-        _print(result, saved.version)
+        _print(result, method, saved.version)
         print(f"report: {path}")
     return 0
 
@@ -194,25 +195,12 @@ def _state(progress: "Progress", names: tuple[str, ...]) -> str:
     return f"generation {progress.generation}, {progress.ess:.0f} effective particles, {known}"
 
 
-def _print(result: "Result", version: str) -> None:
-    from tcbi_infer.tcbi.method import find_method
+def _print(result: "Result", method: "Method", version: str) -> None:
+    from tcbi_infer.report.inference import HEAD, posterior_rows
     from tcbi_infer.tcbi.result import LEAST_ESS
 
-    method = find_method(result.method)
-    rows = [
-        [
-            e.name,
-            e.unit,
-            e.mean,
-            e.sd,
-            f"{e.low90:.3g} to {e.high90:.3g}",
-            f"{1 - e.variance_ratio:.0%}",
-            _verdict(e, method.judges, result),
-        ]
-        for e in result.estimates
-    ]
-    columns = ["parameter", "unit", "mean", "sd", "90 % interval", "variance less than prior", "do the data tell?"]
-    console.table(f"{version}: posterior of {result.model.version}, method {result.method}", columns, rows)
+    title = f"{version}: posterior of {result.model.version}, method {method.name}"
+    console.table(title, HEAD, posterior_rows(result, method))
     print(
         f"{result.simulations} rollouts simulated in {len(result.generations)} generations, {result.seconds:.0f} s, "
         f"{result.ess:.0f} effective particles, "
@@ -222,15 +210,3 @@ def _print(result: "Result", version: str) -> None:
         print(f"fewer than {LEAST_ESS} effective particles tell nothing; more particles or generations are needed")
     if method.caveat:
         print(method.caveat)
-
-
-def _verdict(estimate: Any, judges: bool, result: "Result") -> str:
-    from tcbi_infer.tcbi.result import LEAST_ESS
-
-    if not judges:
-        return "not judged by this method"
-    if not result.fits:
-        return "not told: the model fits poorly"
-    if result.ess < LEAST_ESS:
-        return "cannot say"
-    return "yes" if estimate.identified else "no: little more than the prior"

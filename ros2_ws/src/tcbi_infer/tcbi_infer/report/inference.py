@@ -8,10 +8,13 @@ import numpy as np
 
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_infer.report.plots import BLUE, GREY, INK, ORANGE, STYLE, canvas, to_svg
+from tcbi_infer.tcbi.result import LEAST_ESS
 
 if TYPE_CHECKING:
+    from tcbi_infer.tcbi.method import Method
     from tcbi_infer.tcbi.result import Estimate, Result
 
+HEAD = ("parameter", "unit", "mean", "sd", "90 % interval", "variance less than prior", "do the data tell?")
 NARROW = (
     "A narrow posterior is not a right one: these curves show what the method did. Only a known truth, or an error on "
     "rollouts that were held out, shows whether it was right."
@@ -19,20 +22,19 @@ NARROW = (
 Truth = Mapping[str, float]
 
 
-def add_inference(report: Report, result: "Result", caveat: str = "", truth: Truth | None = None) -> None:
+def add_inference(report: Report, result: "Result", method: "Method", truth: Truth | None = None) -> None:
     """Verdict and table, posterior beside prior, generations.
 
     Args:
       report: to add to.
       result: of an inference.
-      caveat: of its method.
+      method: that inferred.
       truth: values of parameters where they are known.
     """
     known = truth or {}
     told = [e.name for e in result.estimates if e.identified]
     verdict = f"The data tell {', '.join(told)}." if told else "No parameter can be said to be told by the data."
-    head = ["parameter", "unit", "mean", "sd", "90 % interval", "variance less than prior", "do the data tell?"]
-    rows = [_row(e, known) for e in result.estimates]
+    head, rows, caveat = [*HEAD], posterior_rows(result, method), method.caveat
     text = [
         f"{len(result.rollouts)} rollouts of {result.task}, {result.simulations} simulated in "
         f"{len(result.generations)} generations of the method {result.method}; {result.ess:.0f} effective particles.",
@@ -40,6 +42,7 @@ def add_inference(report: Report, result: "Result", caveat: str = "", truth: Tru
     ]
     if known:
         head += ["truth", "error", "inside?"]
+        rows = [row + _beside(e, known) for row, e in zip(rows, result.estimates, strict=True)]
     tone = "good" if told else "neutral"
     notes = list(result.warnings)
     report.add(Section("What the rollouts say", text, notes, verdict=verdict, tone=tone, table=Table(head, rows)))
@@ -52,20 +55,35 @@ def add_inference(report: Report, result: "Result", caveat: str = "", truth: Tru
         report.add(_generations(result, known))
 
 
-def _row(e: "Estimate", truth: Truth) -> list[Any]:
-    row = [
-        e.name,
-        e.unit,
-        e.mean,
-        e.sd,
-        f"{e.low90:.3g} to {e.high90:.3g}",
-        f"{1 - e.variance_ratio:.0%}",
-        e.identified,
+def posterior_rows(result: "Result", method: "Method") -> list[list[Any]]:
+    """A row of `HEAD` for each parameter."""
+    return [
+        [
+            e.name,
+            e.unit,
+            e.mean,
+            e.sd,
+            f"{e.low90:.3g} to {e.high90:.3g}",
+            f"{1 - e.variance_ratio:.0%}",
+            _told(e, result, method),
+        ]
+        for e in result.estimates
     ]
-    if truth:
-        at = truth.get(e.name)
-        row += ["–"] * 3 if at is None else [at, e.mean - at, e.low90 <= at <= e.high90]
-    return row
+
+
+def _told(estimate: "Estimate", result: "Result", method: "Method") -> str:
+    if not method.judges:
+        return "not judged by this method"
+    if not result.fits:
+        return "not told: the model fits poorly"
+    if result.ess < LEAST_ESS:
+        return "cannot say"
+    return "yes" if estimate.identified else "no: little more than the prior"
+
+
+def _beside(e: "Estimate", truth: Truth) -> list[Any]:
+    at = truth.get(e.name)
+    return ["–"] * 3 if at is None else [at, e.mean - at, e.low90 <= at <= e.high90]
 
 
 def _densities(result: "Result", i: int, truth: Truth) -> str:
