@@ -42,30 +42,52 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--quick", action="store_true", help="one robot of each kind, quick diagnosis")
     p.add_argument("--plan", choices=PLANS, default="quick", help="what is recorded and tried (default: quick)")
     p.add_argument(
-        "--hidden", default="six", help="all, six (default), or effects and none, with commas; a+b for two in a robot"
+        "--hidden",
+        type=kinds,
+        default="six",
+        help="all, six (default), or effects and none, with commas; a+b for two in a robot",
     )
     p.add_argument("--pairs", action="store_true", help=f"all pairs of {len(PAIRED)} effects, too")
     p.add_argument("--outside", action="store_true", help=f"the {len(OUTSIDE)} effects outside the library, too")
-    p.add_argument("--strength", default=STRENGTHS[0], help="strong (default), weak, or both with a comma")
-    p.add_argument("--seeds", default="200:203", help="first:end of the robots' numbers (default: 200:203)")
+    p.add_argument("--strength", type=strengths, default=STRENGTHS[0], help="strong (default), weak, or both with a comma")
+    p.add_argument("--seeds", type=seeds, default="200:203", help="first:end of the robots' numbers (default: 200:203)")
     p.add_argument("--keep", type=Path, help="file of results, one JSON object a line")
     p.add_argument("--workers", type=int, default=2)
     return p
 
 
+def kinds(text: str) -> list[str]:
+    """What robots hide: a set's name, or names with commas."""
+    return list(SETS.get(text) or [hidden(name) for name in text.split(",")])
+
+
+def strengths(text: str) -> list[str]:
+    """Known strengths, with commas."""
+    if wrong := [name for name in text.split(",") if name not in STRENGTHS]:
+        raise argparse.ArgumentTypeError(f"unknown strength {wrong[0]!r}; there are {', '.join(STRENGTHS)}")
+    return text.split(",")
+
+
+def seeds(text: str) -> range:
+    """first:end."""
+    first, _, end = text.partition(":")
+    if not (first.isdigit() and end.isdigit() and int(first) < int(end)):
+        raise argparse.ArgumentTypeError(f"got {text!r}, wanted first:end, as in 200:203")
+    return range(int(first), int(end))
+
+
 def jobs_of(options: argparse.Namespace) -> list[Job]:
     """The robots asked for, all kinds of one number before those of the next."""
-    kinds = list(SETS.get(options.hidden) or [hidden(name) for name in options.hidden.split(",")])
+    wanted = list(options.hidden)
     if options.pairs:
-        kinds += ["+".join(pair) for pair in itertools.combinations(PAIRED, 2)]
+        wanted += ["+".join(pair) for pair in itertools.combinations(PAIRED, 2)]
     if options.outside:
-        kinds += OUTSIDE
-    first, end = (int(n) for n in options.seeds.split(":"))
+        wanted += OUTSIDE
     return [
         ("quick" if options.quick else options.plan, kind, strength, seed)
-        for seed in range(first, first + 1 if options.quick else end)
-        for kind in dict.fromkeys(kinds)
-        for strength in (options.strength.split(",") if kind != NONE else STRENGTHS[:1])
+        for seed in (options.seeds[:1] if options.quick else options.seeds)
+        for kind in dict.fromkeys(wanted)
+        for strength in (options.strength if kind != NONE else STRENGTHS[:1])
     ]
 
 
