@@ -1,6 +1,5 @@
 """The hidden-effect benchmark counts what a diagnosis says as what it is; its robots are those asked for."""
 
-import argparse
 import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
@@ -140,7 +139,7 @@ def test_every_named_truth_has_the_library_s_parameter() -> None:
             assert known[parameter].low <= float(truth[key]) <= known[parameter].high, (name, parameter)  # type: ignore[arg-type]
 
 
-def test_the_robots_are_those_asked_for() -> None:
+def test_the_robots_are_those_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     from hidden_effects.main import PAIRED, jobs_of, parser
 
     def jobs(*words: str) -> list[Any]:
@@ -153,8 +152,14 @@ def test_the_robots_are_those_asked_for() -> None:
     assert ("quick", "backlash+payload", "weak", 5) in jobs(
         "--hidden=backlash+payload", "--strength=weak", "--seeds=5:6"
     )
-    with pytest.raises(argparse.ArgumentTypeError, match="gremlins"):
-        jobs("--hidden", "gremlins")
+    for words, told in (
+        (("--hidden", "gremlins"), "'gremlins'"),
+        (("--strength", "huge"), "there are strong, weak"),
+        (("--seeds", "3:2"), "wanted first:end"),
+    ):
+        with pytest.raises(SystemExit):
+            jobs(*words)
+        assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

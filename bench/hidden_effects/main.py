@@ -49,7 +49,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--pairs", action="store_true", help=f"all pairs of {len(PAIRED)} effects, too")
     p.add_argument("--outside", action="store_true", help=f"the {len(OUTSIDE)} effects outside the library, too")
-    p.add_argument("--strength", type=strengths, default=STRENGTHS[0], help="strong (default), weak, or both with a comma")
+    p.add_argument("--strength", type=strengths, default=STRENGTHS[0], help="strong (default), weak, or both by comma")
     p.add_argument("--seeds", type=seeds, default="200:203", help="first:end of the robots' numbers (default: 200:203)")
     p.add_argument("--keep", type=Path, help="file of results, one JSON object a line")
     p.add_argument("--workers", type=int, default=2)
