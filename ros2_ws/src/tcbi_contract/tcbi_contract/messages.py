@@ -34,6 +34,11 @@ def seconds(stamp: Time) -> float:
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
+def nanoseconds(stamp: Time) -> int:
+    """A stamp as nanoseconds."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
 def to_stamp(nanoseconds: int) -> Time:
     """Nanoseconds as a stamp."""
     sec, nanosec = divmod(int(nanoseconds), 1_000_000_000)

@@ -19,6 +19,7 @@ from std_msgs.msg import Float64
 
 from tcbi_contract import names
 from tcbi_infer.collection import Request
+from tcbi_infer.collection_messages import goal_of
 from tcbi_infer.errors import RecordingError
 from tcbi_infer.names import DISTANCE, PLACE_ROBOT
 from tcbi_msgs.action import CollectRollouts
@@ -75,7 +76,7 @@ class CollectClient:
                 f"nobody offers {names.COLLECT_ROLLOUTS} after {ready_s:g} s; start the graph (./tcbi up), "
                 "or let --robot start one"
             )
-        sent = self._client.send_goal_async(_goal(request), feedback_callback=self._on_feedback)
+        sent = self._client.send_goal_async(goal_of(request), feedback_callback=self._on_feedback)
         try:
             if not self._until(sent.done, ready_s, self.while_waiting):
                 raise RecordingError(
@@ -149,17 +150,3 @@ class CollectClient:
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
-
-
-def _goal(request: Request) -> CollectRollouts.Goal:
-    return CollectRollouts.Goal(
-        task=request.task,
-        policy=request.policy,
-        number=request.number,
-        seed=request.seed,
-        slope_roll=list(request.slope_roll),
-        slope_pitch=list(request.slope_pitch),
-        duration_s=request.duration_s,
-        model=request.model,
-        folder=request.folder,
-    )

@@ -6,24 +6,23 @@ blocks, and recording goes on meanwhile. Durations are ROS time; patience is wal
 
 import math
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import Point, PoseStamped, Vector3
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
 
 from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.wording import counted
 from tcbi_infer.bags.folder import RecordingFolder
-from tcbi_infer.bags.note import write_note
-from tcbi_infer.collection import Request, check, next_tick, rollout_id, scenario_of, travelled
+from tcbi_infer.collection import Request, check, next_tick, rollout_id, scenario_of
+from tcbi_infer.collection_messages import begin_event, blocks_of, distance_between, request_of
 from tcbi_infer.errors import RecordingError
 from tcbi_infer.names import PLACE_ROBOT
 from tcbi_msgs.action import CollectRollouts
-from tcbi_msgs.msg import Block, RolloutEvent
+from tcbi_msgs.msg import RolloutEvent
 from tcbi_msgs.srv import LoadPolicy, ResetEpisode
 from tcbi_sim.measurement import Scenario
 
@@ -105,7 +104,7 @@ class Collector:
         return result
 
     async def _collect(self, goal: Any, bags: list[Path]) -> None:
-        request = _request(goal.request)
+        request = request_of(goal.request)
         check(request)
         folder = self._folder(request)
         try:
@@ -133,7 +132,7 @@ class Collector:
         self._refuse_if_cancelled(goal)
         reset = await self._reset_episode(scenario, request.model)
         begin = self._begin(reset.stamp)
-        event = _event(rollout_id(request, index), scenario, policy_id, reset.source, begin)
+        event = begin_event(rollout_id(request, index), scenario, policy_id, reset.source, begin)
         self._rollout_id = event.rollout_id
         end = begin + round(scenario.duration * 1e9)
         self.node.open(folder, event.rollout_id, begin, serialize_message(event), end)
@@ -141,7 +140,7 @@ class Collector:
         self.node.events.publish(event)
         try:
             await self._act(goal, request, index, end)
-            return await self._end(event, end, request)
+            return await self._end(event, end)
         except TcbiError as error:
             await self._abort(event, str(error), request)
             raise
@@ -174,7 +173,7 @@ class Collector:
             await self._set_policy(False)
         self._tell(goal, index, request.number, 0.0)
 
-    async def _end(self, event: RolloutEvent, end: int, request: Request) -> Path:
+    async def _end(self, event: RolloutEvent, end: int) -> Path:
         node = self.node
         node.recorder.end(end, time.monotonic())
         await Until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
@@ -190,7 +189,7 @@ class Collector:
 
     async def _abort(self, event: RolloutEvent, why: str, request: Request) -> None:
         node = self.node
-        now = max(node.get_clock().now().nanoseconds, messages_ns(event))
+        now = max(node.get_clock().now().nanoseconds, messages.nanoseconds(event.header.stamp))
         event.kind, event.note, event.distance = RolloutEvent.ABORT, " ".join(why.split()), math.nan
         event.header.stamp = messages.to_stamp(now)
         node.events.publish(event)
@@ -203,10 +202,8 @@ class Collector:
     async def _distance(self) -> float:
         """From the tracker; else what the operator enters in time; else unknown."""
         node = self.node
-        pair = _first_and_last(node.poses)
-        if pair is not None:
-            (start, orientation), (end, _) = ((_xyz(p.pose.position), _xyzw(p.pose.orientation)) for p in pair)
-            return travelled(start, end, orientation)
+        if len(node.poses) > 1:
+            return distance_between(node.poses[0], node.poses[-1])
         if node.values.distance_timeout_s > 0:
             await Until(lambda: node.distance is not None, node.values.distance_timeout_s)
         return math.nan if node.distance is None else node.distance
@@ -254,7 +251,7 @@ class Collector:
             task=scenario.task,
             slope_roll=scenario.slope_roll,
             slope_pitch=scenario.slope_pitch,
-            blocks=_blocks(scenario),
+            blocks=blocks_of(scenario),
             joint_position=list(scenario.initial_joint_position or ()),
             seed=scenario.seed,
             model=model,
@@ -309,7 +306,7 @@ class Collector:
 
     def _zero(self, stamp: Any) -> int:
         """The rollout's zero (ns): the stamp of the first sample after the reset."""
-        told = stamp.sec * 1_000_000_000 + stamp.nanosec
+        told = messages.nanoseconds(stamp)
         now = self.node.get_clock().now().nanoseconds
         if not told:
             return int(now)
@@ -332,65 +329,7 @@ class Collector:
         return next_tick(max(zero, self.node.get_clock().now().nanoseconds + LEAD_NS))
 
 
-def _first_and_last(poses: Sequence[bytes]) -> tuple[PoseStamped, PoseStamped] | None:
-    """The tracker's first and newest pose of a rollout, if there are two."""
-    if len(poses) < 2:
-        return None
-    first, last = (deserialize_message(data, PoseStamped) for data in (poses[0], poses[-1]))
-    return first, last
-
-
 def _succeeded(response: Any, what: str) -> Any:
     if not response.success:
         raise RecordingError(f"{what} failed: {response.message}")
     return response
-
-
-def _request(goal: Any) -> Request:
-    return Request(
-        task=goal.task,
-        number=int(goal.number),
-        seed=int(goal.seed),
-        policy=goal.policy,
-        slope_roll=tuple(goal.slope_roll),
-        slope_pitch=tuple(goal.slope_pitch),
-        duration_s=float(goal.duration_s),
-        model=goal.model,
-        folder=goal.folder,
-    )
-
-
-def _event(name: str, scenario: Scenario, policy_id: str, source: str, begin: int) -> RolloutEvent:
-    event = RolloutEvent(
-        rollout_id=name, kind=RolloutEvent.BEGIN, task=scenario.task, policy_id=policy_id, source=source
-    )
-    event.header.stamp = messages.to_stamp(begin)
-    event.slope_roll, event.slope_pitch = scenario.slope_roll, scenario.slope_pitch
-    event.blocks = _blocks(scenario)
-    event.distance = math.nan
-    event.note = write_note("hexapod", scenario)
-    return event
-
-
-def _blocks(scenario: Scenario) -> list[Block]:
-    return [
-        Block(
-            center=Point(**dict(zip("xyz", b.center, strict=True))),
-            size=Vector3(**dict(zip("xyz", b.size, strict=True))),
-            yaw=b.yaw,
-        )
-        for b in scenario.blocks
-    ]
-
-
-def messages_ns(event: RolloutEvent) -> int:
-    """An event's stamp, ns."""
-    return int(event.header.stamp.sec) * 1_000_000_000 + int(event.header.stamp.nanosec)
-
-
-def _xyz(point: Any) -> tuple[float, float, float]:
-    return (point.x, point.y, point.z)
-
-
-def _xyzw(q: Any) -> tuple[float, float, float, float]:
-    return (q.x, q.y, q.z, q.w)

@@ -100,7 +100,7 @@ class PolicyNode(Node):
         if not np.isfinite(position).all():
             self._stop("joint_states holds values that are not finite")
             return
-        self._ticker.add_joints(_nanoseconds(message), position, time.monotonic())
+        self._ticker.add_joints(messages.nanoseconds(message.header.stamp), position, time.monotonic())
         self._act()
 
     def _on_imu(self, message: Imu) -> None:
@@ -109,12 +109,12 @@ class PolicyNode(Node):
         norm = float(np.linalg.norm(attitude))
         if message.orientation_covariance[0] == messages.ABSENT or not 0.5 < norm < 2.0:
             return  # no orientation; the ticks that need one will say so
-        self._ticker.add_attitude(_nanoseconds(message), attitude / norm, time.monotonic())
+        self._ticker.add_attitude(messages.nanoseconds(message.header.stamp), attitude / norm, time.monotonic())
         self._act()
 
     def _on_event(self, event: RolloutEvent) -> None:
         if event.kind == RolloutEvent.BEGIN:
-            self._ticker.not_before(_nanoseconds(event))
+            self._ticker.not_before(messages.nanoseconds(event.header.stamp))
 
     # -- acting ---------------------------------------------------------------------------------------------------
 
@@ -242,10 +242,6 @@ class PolicyNode(Node):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
-
-
-def _nanoseconds(message: JointState | Imu | RolloutEvent) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -52,7 +52,7 @@ def requested_scenario(request: Any) -> Scenario:
         request.duration or own,
         request.slope_roll,
         request.slope_pitch,
-        tuple(_block(b) for b in request.blocks),
+        tuple(block_of(b) for b in request.blocks),
         tuple(float(x) for x in request.joint_position) or None,
         seed=int(request.seed),
     )
@@ -71,7 +71,7 @@ def _block_faults(blocks: Sequence[Any]) -> list[str]:
     if len(blocks) > MOST_BLOCKS:
         return [f"blocks: got {len(blocks)}, allowed are {MOST_BLOCKS}"]
     faults = []
-    for i, block in enumerate(_block(b) for b in blocks):
+    for i, block in enumerate(block_of(b) for b in blocks):
         if not all(math.isfinite(v) for v in (*block.center, block.yaw)):
             faults.append(f"blocks[{i}]: got centre {block.center} and yaw {block.yaw}, allowed are finite numbers")
         if not all(0 < v <= 10 for v in block.size):
@@ -79,6 +79,7 @@ def _block_faults(blocks: Sequence[Any]) -> list[str]:
     return faults
 
 
-def _block(message: Any) -> Block:
+def block_of(message: Any) -> Block:
+    """A block as a message of tcbi_msgs has it."""
     c, s = message.center, message.size
     return Block((c.x, c.y, c.z), (s.x, s.y, s.z), message.yaw)

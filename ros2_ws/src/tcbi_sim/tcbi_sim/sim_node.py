@@ -197,13 +197,13 @@ class SimNode(Node):
         except CommandRefused as error:
             self.live.refuse(str(error))
             self.get_logger().warning(str(error), throttle_duration_sec=2.0)
-        if self.clock and self.clock.may_run(_nanoseconds(message.header.stamp) or self.clock.now):
+        if self.clock and self.clock.may_run(messages.nanoseconds(message.header.stamp) or self.clock.now):
             self._run_window()
 
     def _on_event(self, event: RolloutEvent) -> None:
         begins = event.kind == RolloutEvent.BEGIN
         if self.clock and begins:
-            begins = self.clock.begin(_nanoseconds(event.header.stamp), time.monotonic())
+            begins = self.clock.begin(messages.nanoseconds(event.header.stamp), time.monotonic())
         elif self.clock:
             self.clock.end()
         self._in_episode = begins
@@ -256,10 +256,6 @@ class SimNode(Node):
         response.success = True
         response.message = "released; limp until reset_episode" if stood else "no emergency stop stood"
         return response
-
-
-def _nanoseconds(stamp: Time) -> int:
-    return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -9,6 +9,7 @@ from tcbi_infer.bags.files import bag_name
 from tcbi_infer.bags.note import Note, read_note
 from tcbi_infer.bags.streams import Record, Recording
 from tcbi_infer.errors import BagError
+from tcbi_sim.episode import block_of
 from tcbi_sim.measurement import Block, Scenario
 
 UNKNOWN_TASK = "unknown"
@@ -94,16 +95,11 @@ def _span(begin: Record, end: Record | None) -> Span:
         source=message.source,
         slope_roll=message.slope_roll,
         slope_pitch=message.slope_pitch,
-        blocks=tuple(_block(block) for block in message.blocks),
+        blocks=tuple(block_of(block) for block in message.blocks),
         distance=message.distance if end is None else end.message.distance,
         note=read_note(message.note),
         notes=tuple(notes),
     )
-
-
-def _block(block: object) -> Block:
-    center, size = block.center, block.size  # type: ignore[attr-defined]
-    return Block((center.x, center.y, center.z), (size.x, size.y, size.z), block.yaw)  # type: ignore[attr-defined]
 
 
 def _without_begin(end: Record, recording: Recording) -> Span:

@@ -102,7 +102,7 @@ def compare(
     floor = floor or noise_floor(replay.layout, replay.measured, residual, replay.replicates)
     if len(floor.values) != len(replay.layout.channels):
         raise CompareError(f"the floor has {len(floor.values)} signals, these rollouts {len(replay.layout.channels)}")
-    scorer = Scorer(replay, floor, predicted, _task_mean(replay, task.predicted(replay, rollouts, _all(replay))))
+    scorer = Scorer(replay, floor, predicted, _task_mean(task.predicted(replay, rollouts, _all(replay))))
     for sets in _chunks(replay, len(draws)):
         scorer.take(sets, replay.simulate(model, draws, sets, timestep))
     findings = guard(measurements) + _idle_parameters(model, replay, mean, floor.values)
@@ -156,7 +156,7 @@ def _chunks(replay: Replay, particles: int) -> Iterator[list[int]]:
         yield sets[begin : begin + count]
 
 
-def _task_mean(replay: Replay, found: tuple[task.Values, np.ndarray]) -> task.Values:
+def _task_mean(found: tuple[task.Values, np.ndarray]) -> task.Values:
     """The prediction at the mean parameters in the order of the rollouts."""
     values, owners = found
     return {name: v[0][np.argsort(owners)] for name, v in values.items()}
