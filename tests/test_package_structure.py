@@ -1,6 +1,7 @@
 """What holds between packages: dependencies point one way, pure modules need no ROS, nothing names this machine."""
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -162,6 +163,10 @@ def test_a_package_is_what_ros_expects(package):
     assert (folder / "resource" / package).is_file()
     setup = (folder / "setup.cfg").read_text(encoding="utf-8")
     assert f"script_dir=$base/lib/{package}" in setup and f"install_scripts=$base/lib/{package}" in setup
+    assert "executable=/usr/bin/env python3" in setup, "apt's colcon would write /usr/bin/python3, which sees no venv"
+    data_files = (folder / "setup.py").read_text(encoding="utf-8")
+    assert f'("share/ament_index/resource_index/packages", ["resource/{package}"])' in data_files
+    assert f'("share/{package}", ["package.xml"])' in data_files
     root = ET.parse(folder / "package.xml").getroot()
     assert root.get("format") == "3"
     assert root.findtext("name") == package
@@ -175,7 +180,55 @@ def test_each_folder_of_modules_is_a_python_package(package):
     assert not [str(f.relative_to(SOURCE)) for f in sorted(folders) if not (f / "__init__.py").is_file()]
 
 
-ROSDEP_KEYS = {
+def console_scripts(package: str) -> dict[str, str]:
+    """Name and `module:function` of each executable in setup.py."""
+    tree = ast.parse((SOURCE / package / "setup.py").read_text(encoding="utf-8"))
+    call = next(n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "setup")
+    keywords = {keyword.arg: keyword.value for keyword in call.keywords}
+    points = ast.literal_eval(keywords["entry_points"]) if "entry_points" in keywords else {}
+    return dict(re.split(r"\s*=\s*", line) for line in points.get("console_scripts", []))
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_each_executable_names_a_function_that_is_there(package):
+    known = modules(package)
+    for name, target in console_scripts(package).items():
+        module, _, function = target.partition(":")
+        body = ast.parse(known[module].read_text(encoding="utf-8")).body
+        assert function in {n.name for n in body if isinstance(n, ast.FunctionDef)}, name
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_each_executable_and_marker_is_in_the_install_space(package):
+    index = pytest.importorskip("ament_index_python.packages", reason="no ROS in this shell; ./tcbi python has one")
+    try:
+        prefix = Path(index.get_package_prefix(package))
+    except index.PackageNotFoundError:
+        pytest.skip(f"{package} is not built in this shell; ./tcbi builds it")
+    folder = prefix / "lib" / package
+    found = {file.name for file in folder.glob("*") if os.access(file, os.X_OK)}
+    assert found == set(console_scripts(package))
+    assert (prefix / "share" / package / "package.xml").is_file()
+
+
+def test_the_packages_with_executables_are_those_that_the_launcher_and_doctor_know():
+    tree = ast.parse(modules("tcbi_bringup")["tcbi_bringup.executables"].read_text(encoding="utf-8"))
+    listed = next(
+        ast.literal_eval(n.value)
+        for n in tree.body
+        if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "PACKAGES"
+    )
+    assert set(listed) == {package for package in ALLOWED if console_scripts(package)}
+
+
+def test_every_interface_file_is_generated():
+    folder = SOURCE / "tcbi_msgs"
+    files = {f"{f.parent.name}/{f.name}" for kind in ("msg", "srv", "action") for f in folder.glob(f"{kind}/*.{kind}")}
+    assert files == set(re.findall(r"\b(?:msg|srv|action)/\w+\.\w+", (folder / "CMakeLists.txt").read_text("utf-8")))
+    assert "rosidl_interface_packages" in declared("tcbi_msgs", "member_of_group")
+
+
+ROSDEP_KEYS = {  # by the name imported; each is a system package of Ubuntu 24.04 or a package of Jazzy
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",
     "serial": "python3-serial",
@@ -184,7 +237,8 @@ ROSDEP_KEYS = {
     "jinja2": "python3-jinja2",
     "netCDF4": "python3-netcdf4",
     "psutil": "python3-psutil",
-    "stable_baselines3": "python3-stable-baselines3-pip",
+    "h5py": "python3-h5py",
+    "imageio": "python3-imageio",
     "ament_index_python": "ament_index_python",
 }
 
@@ -193,8 +247,17 @@ ROSDEP_KEYS = {
 def test_every_other_import_has_a_rosdep_key_or_stands_in_the_list_of_pypi(package):
     lines = (ROOT / "ros2_ws" / "requirements-pypi.txt").read_text(encoding="utf-8").splitlines()
     listed = {re.split(r"[=<>;\s]", line)[0].replace("-", "_") for line in lines if line[:1].isalnum()}
+    listed -= set(ROSDEP_KEYS)
     used = set().union(*(packages_of(imported(file)) for file in modules(package).values()))
     others = used - OWN - ROS - set(sys.stdlib_module_names)
     keys = declared(package, "depend", "exec_depend")
     missing = {name for name in others if ROSDEP_KEYS.get(name) not in keys and name not in listed}
     assert not missing, "declare it in package.xml, or in ros2_ws/requirements-pypi.txt where rosdep has no key"
+
+
+@pytest.mark.parametrize("package", sorted(OWN))
+def test_rosdep_installs_every_dependency_from_apt(package):
+    tags = ("depend", "exec_depend", "buildtool_depend", "build_depend", "test_depend")
+    tools = {"ament_cmake", "rosidl_default_generators", "rosidl_default_runtime", "python3-pytest"}
+    unknown = declared(package, *tags) - OWN - ROS - set(ROSDEP_KEYS.values()) - tools
+    assert not unknown, "a key of pip (-pip) fails on Ubuntu 24.04, whose Python refuses packages that are not apt's"

@@ -7,7 +7,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from tcbi_bringup.errors import UnknownExecutableError
 
-PACKAGES = ("tcbi_sim", "hexapod_driver", "tcbi_policy", "tcbi_infer", "tcbi_bringup")
+PACKAGES = ("tcbi_sim", "hexapod_driver", "tcbi_policy", "tcbi_infer", "tcbi_dashboard", "tcbi_bringup")
 
 
 def executables(package: str) -> dict[str, Path]:
