@@ -13,6 +13,7 @@ from tcbi_infer.diagnose.evidence import (
     Evidence,
     ParameterEstimate,
 )
+from tcbi_infer.diagnose.screen import paired_statistic, standard_error
 from tcbi_infer.diagnose.verdict import accept, ranked, rule
 
 GAINS = (40.0, 45.0, 38.0, 42.0, 41.0, 44.0)
@@ -107,3 +108,11 @@ def test_a_small_error_that_an_uncertain_candidate_would_mostly_explain_is_left_
 
 def test_one_kind_of_motion_tells_nothing():
     assert ruled(evidence("backlash", gains=(40.0,)), kinds=1).verdict == CANNOT_TELL
+
+
+def test_a_recording_half_as_long_may_gain_half_as_much():
+    gains, alike, sizes = np.array([40.0, 42.0, 38.0, 20.0]), np.full(4, 9), np.array([10, 10, 10, 5])
+    assert paired_statistic(gains, sizes) > 3 * paired_statistic(gains, alike)
+    assert paired_statistic(gains, alike, 0.0) == pytest.approx(gains.mean() / (gains.std(ddof=1) / 2))
+    assert gains.sum() / standard_error(gains, alike) == pytest.approx(paired_statistic(gains, alike, 0.0))
+    assert paired_statistic(gains[:1], sizes[:1]) == 0.0 and np.isnan(standard_error(gains[:1], sizes[:1]))

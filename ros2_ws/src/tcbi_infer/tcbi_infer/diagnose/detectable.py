@@ -246,7 +246,7 @@ class _Use:
         kr = self._with_signal(self.noise.kr, self.signal.kr[..., ks] * multiples)
         gains = self.screen.held_out(Targets(nr, kr))[:, 0].reshape(-1, len(ks), count)
         gains = robust_gain(gains, self.samples[:, None, None])
-        power = (paired_statistic(gains) > self.background.null.threshold).mean(axis=-1)
+        power = (paired_statistic(gains, self.screen.sizes) > self.background.null.threshold).mean(axis=-1)
         return power, gains.sum(axis=0).mean(axis=-1)
 
     def _with_signal(self, noise: np.ndarray, signal: np.ndarray) -> np.ndarray:

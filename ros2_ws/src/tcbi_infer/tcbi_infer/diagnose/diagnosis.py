@@ -177,7 +177,11 @@ class _Run:
             self.problem, screen, nuisance, leftover, self.sets, np.random.default_rng(self.settings.seed)
         )
         alike = self._alike(screen, data, list(fits))
-        evidence = [screened(use, gains[:, u], before.error) for u, use in enumerate(directions.uses) if u not in fits]
+        evidence = [
+            screened(use, gains[:, u], screen.sizes, before.error)
+            for u, use in enumerate(directions.uses)
+            if u not in fits
+        ]
         for u, (rough, fine) in fits.items():
             use = directions.uses[u]
             evidence.append(judge.evidence(use, after[u], before, self._drift(rough, fine)))

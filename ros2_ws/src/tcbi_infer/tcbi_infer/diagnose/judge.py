@@ -17,9 +17,9 @@ from tcbi_infer.compare.replicates import Split
 from tcbi_infer.compare.signals import JOINT
 from tcbi_infer.diagnose.evidence import Evidence, Moment, ParameterEstimate
 from tcbi_infer.diagnose.fit import Fit, Nuisance
-from tcbi_infer.diagnose.heldout import HeldOut, held_out, intervals
+from tcbi_infer.diagnose.heldout import HeldOut, fold_indices, held_out, intervals
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_infer.diagnose.screen import paired_statistic
+from tcbi_infer.diagnose.screen import paired_statistic, standard_error
 from tcbi_sim.measurement import Measurement
 
 
@@ -39,6 +39,7 @@ class Judge:
         self.problem, self.replay, self.split, self.floor = problem, problem.replay, split, floor
         self.nuisance, self.timestep = nuisance, timestep
         self.sets = np.array(split.open, int)
+        self.sizes = np.array([len(fold) for fold in fold_indices(problem, self.sets)])
 
     @property
     def sealed(self) -> list[Measurement]:
@@ -89,8 +90,8 @@ class Judge:
             effect=use.partition(":")[0],
             use=use,
             elpd_gain=float(gains.sum()),
-            elpd_se=standard_error(gains),
-            statistic=float(paired_statistic(gains)),
+            elpd_se=float(standard_error(gains, self.sizes)),
+            statistic=float(paired_statistic(gains, self.sizes)),
             error_before=before.error,
             error_after=after.error,
             parameters=parameters[len(before.fit.unit) :] if use else parameters,
@@ -126,14 +127,14 @@ class Judge:
         return found
 
 
-def screened(use: str, gains: np.ndarray, error_before: float) -> Evidence:
-    """The linear estimate (F,) in nats of a use that got no full fit."""
+def screened(use: str, gains: np.ndarray, sizes: np.ndarray, error_before: float) -> Evidence:
+    """The linear estimate (F,) in nats of a use that got no full fit, kinds of motion holding `sizes` (F,) sets."""
     return Evidence(
         effect=use.partition(":")[0],
         use=use,
         elpd_gain=float(gains.sum()),
-        elpd_se=standard_error(gains),
-        statistic=float(paired_statistic(gains)),
+        elpd_se=float(standard_error(gains, sizes)),
+        statistic=float(paired_statistic(gains, sizes)),
         error_before=error_before,
         error_after=float("nan"),
         parameters=(),
@@ -141,8 +142,3 @@ def screened(use: str, gains: np.ndarray, error_before: float) -> Evidence:
         converged=False,
         gains=tuple(float(g) for g in gains),
     )
-
-
-def standard_error(gains: np.ndarray) -> float:
-    """Of the sum of (F,) gains; NaN of a single one."""
-    return float(np.sqrt(len(gains)) * np.std(gains, ddof=1)) if len(gains) > 1 else float("nan")

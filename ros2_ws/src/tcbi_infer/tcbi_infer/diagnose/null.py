@@ -99,7 +99,7 @@ def simulate_null(
         data += signs[:, :, None, None] * leftover
         scales.append(screen.unit_scale(data))
         parts.append(screen.targets(data * scales[-1][:, None, None, None]))
-        maxima.extend(paired_statistic(screen.held_out(parts[-1])).max(axis=0))
+        maxima.extend(paired_statistic(screen.held_out(parts[-1]), screen.sizes).max(axis=0))
     values = np.array(maxima)
     kinds_count = len(screen.folds)
     single = float(stdtrit(max(kinds_count - 1, 1), LEVEL))
