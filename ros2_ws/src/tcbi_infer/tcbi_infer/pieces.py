@@ -44,11 +44,11 @@ def _piece(m: Measurement, begin: float, end: float, number: int) -> Measurement
 
 
 def _state(m: Measurement, at: float) -> tuple[np.ndarray, np.ndarray]:
-    """Position and speed (J,) at a time: a parabola through the samples around it."""
+    """Position and speed (J,) at a time: a cubic through the samples around it, a parabola where they are few."""
     near = np.abs(m.time - at) <= SPEED_OVER
     if near.sum() < FEWEST:
         near = np.isin(np.arange(len(m.time)), np.argsort(np.abs(m.time - at))[:FEWEST])
-    order = min(2, int(near.sum()) - 1)
+    order = min(3, max(1, (int(near.sum()) - 1) // 2))
     fitted = np.polynomial.polynomial.polyfit(m.time[near] - at, m.joint_position[near], order)
     return fitted[0], fitted[1]
 
