@@ -13,8 +13,9 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import Statistic
 from tcbi_infer.tcbi import checkpoint
 from tcbi_infer.tcbi.driver import Interrupted, Progress, infer
+from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.method import METHODS
-from tcbi_infer.tcbi.problem import Problem, find_controllers
+from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs import load_rig

@@ -22,10 +22,9 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, divergences, samples
+from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
 from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noisier, sample_rate, sensor_noise
-from tcbi_policy.artefact import GAIT_PREFIX, find_policy
-from tcbi_policy.errors import PolicyError
 from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
 from tcbi_sim.measurement import Measurement, quaternion_from_rpy
 from tcbi_sim.model import Model
@@ -217,39 +216,6 @@ def _divergence(problem: Problem, counts: np.ndarray, parts: list[list[np.ndarra
     pooled = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in _by_channel(parts)]
     measure = divergence(problem.divergence_name)
     return np.stack([measure(real, pooled[i]) for real, i in zip(problem.real_samples, used, strict=True)], axis=-1)
-
-
-def find_controllers(
-    measurements: Sequence[Measurement], loop: str, policies: Path | None
-) -> tuple[dict[str, Controller], str]:
-    """Policy id -> controller, empty for open loop, and a line that says which and why.
-
-    Raises:
-      PolicyError: closed loop is asked for, and a policy cannot be loaded.
-    """
-    ids = sorted({m.policy_id for m in measurements})
-    if loop == "open":
-        return {}, "open loop: the recorded commands are replayed"
-    if loop == "auto" and all(i.startswith(GAIT_PREFIX) for i in ids):
-        return {}, "open loop: scripted gaits do not react, so the recorded commands are replayed"
-    found: dict[str, Controller] = {}
-    try:
-        for policy_id in ids:
-            found[policy_id] = _load(policy_id, policies)
-    except PolicyError as e:
-        if loop == "closed":
-            raise
-        return {}, f"open loop: the recorded commands are replayed, since a policy cannot be loaded ({e})"
-    return found, f"closed loop: {', '.join(ids)} act on the simulated robot"
-
-
-def _load(policy_id: str, policies: Path | None) -> Controller:
-    reference = policy_id if policy_id.startswith(GAIT_PREFIX) else policy_id.partition("@")[0]
-    policy = find_policy(reference, policies) if reference else None
-    if policy is None or policy.policy_id != policy_id:
-        seen = "none" if policy is None else policy.policy_id
-        raise PolicyError(f"the rollouts ran {policy_id or 'an unnamed policy'}, here is {seen}")
-    return policy
 
 
 def as_arrays(rollouts: SimulatedRollouts, group: Group, closed: bool) -> RolloutArrays:
