@@ -48,14 +48,14 @@ def powered(m: Measurement) -> float:
 def fit(
     seen: list[sysid.ModelSequences], unseen: list[sysid.ModelSequences], known: dict[str, tuple[Bounds, Modifier]]
 ) -> tuple[dict[str, float], np.ndarray, float]:
-    """Fitted values, error (J,) in deg on what was not fitted, and the seconds that the fit took."""
+    """Fitted values, error (J,) in deg on what was not fitted, and the processor time (s) of the fit."""
     parameters = sysid.ParameterDict()
     for name, ((nominal, low, high), modify) in known.items():
         change = lambda spec, p, modify=modify: modify(spec, float(p.value[0]))  # noqa: E731
         parameters.add(sysid.Parameter(name, nominal, low, high, modifier=change))
-    began = time.perf_counter()
+    began = time.process_time()
     found, _ = sysid.optimize(parameters, sysid.build_residual_fn(models_sequences=seen, n_threads=1), verbose=False)
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     judge = sysid.build_residual_fn(models_sequences=unseen, n_threads=1)
     _, predicted, measured = judge(found.as_vector(), found)
     pairs = zip([p for group in predicted for p in group], [m for group in measured for m in group], strict=True)
