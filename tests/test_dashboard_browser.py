@@ -1,4 +1,4 @@
-"""The page in a real browser: no rollouts, one and many, a restart, a token."""
+"""The page in a real browser: a newcomer's whole way, few and many rollouts, two browsers, a restart, a token."""
 
 import urllib.error
 import urllib.request
@@ -7,10 +7,10 @@ import pytest
 
 pytest.importorskip("nicegui", reason="the dashboard needs nicegui")
 playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright to look at the page with")
-from tests.dashboard_cases import DEADLINE_S, Server, bench_rollouts, launch, record  # noqa: E402
+from tests.dashboard_cases import DEADLINE_S, HIDDEN, Server, bench_rollouts, launch, record  # noqa: E402
 
 VIEWS = ("Live", "Compare", "Where", "Why", "Add", "Reports")
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def look(browser):
     contexts = []
 
     def open_page(server: Server, view: str = "", width: int = 1280):
-        context = browser.new_context(viewport={"width": width, "height": 860})
+        context = browser.new_context(viewport={"width": width, "height": 860}, reduced_motion="reduce")
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(1000 * DEADLINE_S)
@@ -55,6 +55,54 @@ def fits(page) -> bool:
     return page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
+def test_a_newcomer_sees_learns_adds_and_watches_the_error_fall(tmp_path, look):
+    with Server(tmp_path) as server:
+        page = look(server)
+        page.get_by_text("There are no rollouts yet.").wait_for()
+        page.get_by_text("./tcbi collect").first.wait_for()
+        record(tmp_path, bench_rollouts())
+        page.get_by_text("12 of 12 rollouts").first.wait_for()
+
+        page.get_by_role("button", name="Compare").click()
+        page.get_by_text("times the noise floor: servo_bench-v0").wait_for()
+        before = float(page.locator(".tcbi-figure").inner_text())
+        assert before > 2
+        moved = page.evaluate(
+            "() => { const s = document.querySelector('.tcbi-transport input'); s.value = s.max;"
+            " s.dispatchEvent(new Event('input')); return document.querySelector('.tcbi-transport output').innerText }"
+        )
+        assert moved
+
+        go_to(page, "Where")
+        page.get_by_text("Where the error lives").wait_for()
+        page.get_by_role("button", name="Show").first.click()
+        page.get_by_text("Measured and predicted motion").wait_for()
+        page.wait_for_function("(s => s && s.value !== s.max)(document.querySelector('.tcbi-transport input'))")
+
+        go_to(page, "Why")
+        page.get_by_role("button", name="Quick look").click()
+        page.locator(".tcbi-verdict").wait_for()
+        assert HIDDEN in page.locator(".tcbi-verdict").inner_text()
+
+        page.get_by_role("button", name=f"Add {HIDDEN} to the model").click()
+        page.get_by_role("button", name=f"Add {HIDDEN}", exact=True).click()
+        page.get_by_text("servo_bench-v1", exact=True).first.wait_for()
+        page.locator(".tcbi-job").wait_for(state="detached")
+        record(tmp_path, bench_rollouts(2, first=20))
+        page.get_by_text("16 of 16 rollouts").first.wait_for()
+        page.get_by_role("button", name="Measure all versions on these").click()
+        page.get_by_text("Measured on 4 rollouts that no fit has seen").wait_for()
+        lines = page.locator(".tcbi-version-error").all_inner_texts()
+        after, base = (float(line.split()[0]) for line in lines)
+        assert after < 0.6 * base
+
+        go_to(page, "Reports")
+        page.get_by_role("link", name="add-servo_bench-v1").wait_for()
+        with urllib.request.urlopen(f"{server.address}/report/add-servo_bench-v1.html") as report:
+            assert b"<svg" in report.read()
+        assert server.stop() == 130
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 def test_every_view_of_an_empty_store_says_what_to_do_first(tmp_path, look, width):
     with Server(tmp_path) as server:
@@ -77,11 +125,16 @@ def test_every_view_works_with_one_rollout(tmp_path, look):
             assert fits(page), view
 
 
-def test_five_hundred_rollouts_are_listed_and_chosen_from(tmp_path, look):
+def test_five_hundred_rollouts_are_listed_compared_and_chosen_from(tmp_path, look):
     record(tmp_path, bench_rollouts(250, seconds=1.0))
     with Server(tmp_path) as server:
         page = look(server)
         page.get_by_text("40 of 500 rollouts").first.wait_for()
+        page.get_by_role("button", name="Compare").click()
+        page.get_by_text("times the noise floor: servo_bench-v0").wait_for()
+        for view in (*VIEWS, "Compare"):
+            go_to(page, view)
+            assert fits(page), view
         page.get_by_role("button", name="Choose rollouts").click()
         page.get_by_placeholder("filter").fill("motion:249")
         page.get_by_text("swing249b").wait_for()
@@ -89,6 +142,21 @@ def test_five_hundred_rollouts_are_listed_and_chosen_from(tmp_path, look):
         page.get_by_role("row", name="swing249b").get_by_role("checkbox").click()
         page.get_by_role("button", name="Use these").click()
         page.get_by_text("1 of 500 rollouts").first.wait_for()
+
+
+def test_two_browsers_see_the_same_job_and_either_may_cancel_it(tmp_path, look):
+    record(tmp_path, bench_rollouts(2))
+    with Server(tmp_path) as server:
+        one, other = look(server, "why"), look(server)
+        one.get_by_text("4 of 4 rollouts").first.wait_for()
+        one.get_by_role("button", name="Diagnose").click()
+        other.get_by_text("Diagnosing: ").wait_for()
+        other.get_by_role("button", name="Cancel").click()
+        one.get_by_text("Diagnosing was cancelled.").wait_for()
+        other.get_by_role("button", name="Compare").click()
+        go_to(one, "Compare")
+        for page in (one, other):
+            page.get_by_text("times the noise floor: servo_bench-v0").wait_for()
 
 
 def test_a_page_finds_its_server_again_after_a_restart(tmp_path, look):
@@ -115,3 +183,17 @@ def test_another_machine_needs_the_token_and_cannot_move_the_robot(tmp_path, loo
         assert page.get_by_role("button", name="EMERGENCY STOP").is_visible()
         assert page.get_by_role("button", name="Record").count() == 0
         page.close()
+
+
+@pytest.mark.graph
+def test_the_robot_is_seen_stopped_and_its_unplugging_noticed(tmp_path, look, domain, start_graph):
+    from tcbi_bringup.launcher import NodeProcess
+
+    graph = start_graph(NodeProcess("tcbi_sim", "sim_node", parameters={"mode": "realtime"}))
+    with Server(tmp_path, domain=domain) as server:
+        page = look(server, "live")
+        page.get_by_text("°, pitch ").wait_for()
+        page.get_by_role("button", name="EMERGENCY STOP").click()
+        page.get_by_text("torque is off").first.wait_for()
+        graph.stop()
+        page.get_by_text("No joint states arrive.").wait_for()

@@ -129,6 +129,7 @@ def curve(condition: str, unit: str, middle: Sequence[float | None], error: Sequ
         series=[
             {
                 "type": "line",
+                "symbol": "circle",
                 "data": points,
                 "lineStyle": {"color": BLUE},
                 "itemStyle": {"color": BLUE},
@@ -151,7 +152,7 @@ def gains(ranking: Sequence[Mapping[str, Any]], chosen: Sequence[str], most: int
     return _frame(
         "ranking",
         grid=_beside([e["use"] for e in shown]),
-        xAxis=_axis("held-out gain / nats (line: ± one standard error)", type="value"),
+        xAxis=_axis("held-out gain / nats", type="value", splitNumber=4),
         yAxis=_axis(type="category", data=[e["use"] for e in shown], inverse=True, axisLine={"show": False}),
         series=[
             {"type": "bar", "data": bars, "barMaxWidth": 16},
@@ -208,7 +209,7 @@ def moment(data: Mapping[str, Any], after: str) -> Options:
         return {
             "name": name,
             "type": "line",
-            "showSymbol": False,
+            "symbol": "none",
             "data": [[_rounded(t), _rounded(v)] for t, v in zip(data["time"], values, strict=True)],
             "lineStyle": {"color": color, "type": kind, "width": 1.8},
             "itemStyle": {"color": color},
@@ -239,6 +240,7 @@ def history(versions: Sequence[str], errors: Sequence[float | None]) -> Options:
                 "type": "line",
                 "data": [_rounded(e) for e in errors],
                 "connectNulls": True,
+                "symbol": "circle",
                 "symbolSize": 10,
                 "lineStyle": {"color": BLUE, "width": 2.5},
                 "itemStyle": {"color": BLUE},
@@ -262,7 +264,7 @@ def ladder(errors: Mapping[str, float]) -> Options:
     return _frame(
         "errors",
         grid=_beside(list(values), right=48),
-        xAxis=_axis("error / noise floor", type="value", min=0),
+        xAxis=_axis("error / noise floor", type="value", min=0, splitNumber=4),
         yAxis=_axis(type="category", data=list(values), inverse=True, axisLine={"show": False}),
         series=[
             {
@@ -281,14 +283,26 @@ def ladder(errors: Mapping[str, float]) -> Options:
 
 
 def pair(x: Mapping[str, Any], y: Mapping[str, Any], points: Sequence[Sequence[float]]) -> Options:
-    """Two parameters' draws against each other; the axes span their priors."""
+    """Two parameters' draws against each other; the axes span their priors, each on its prior's scale."""
     dots = {"type": "scatter", "data": [list(p) for p in points], "symbolSize": 5}
     return _frame(
         f"{x['name']}-{y['name']}",
-        xAxis=_axis(with_unit(x["name"], x["unit"]), type="value", min=x["low"], max=x["high"]),
-        yAxis=_axis(with_unit(y["name"], y["unit"]), type="value", min=y["low"], max=y["high"], nameGap=42),
+        xAxis=_over(x),
+        yAxis=_over(y, nameGap=46),
         series=[{**dots, "itemStyle": {"color": BLUE, "opacity": 0.45}}],
     )
+
+
+def _over(p: Mapping[str, Any], **more: Any) -> Options:
+    """An axis over a parameter's prior."""
+    kind = "log" if p["scale"] == "log" else "value"
+    digits = {
+        "color": INK,
+        "hideOverlap": True,
+        "fontSize": 13,
+        ":formatter": "(v) => String(Number(v.toPrecision(2)))",
+    }
+    return _axis(with_unit(p["name"], p["unit"]), type=kind, min=p["low"], max=p["high"], axisLabel=digits, **more)
 
 
 def lines(name: str, x_title: str, y_title: str, series: Mapping[str, Sequence[Sequence[float | None]]]) -> Options:
@@ -304,7 +318,7 @@ def lines(name: str, x_title: str, y_title: str, series: Mapping[str, Sequence[S
             {
                 "name": label,
                 "type": "line",
-                "showSymbol": len(points) < 30,
+                "symbol": "circle" if len(points) < 30 else "none",
                 "data": [[_rounded(a), _rounded(b)] for a, b in points],
                 "lineStyle": {"color": palette[i % len(palette)]},
                 "itemStyle": {"color": palette[i % len(palette)]},

@@ -25,6 +25,11 @@ class Player(Element, component="browser/player.js", esm={"tcbi-stage": "browser
         self._props.update(props)
         self.update()
 
+    def jump(self, time_s: float) -> None:
+        """Go to a time, also if it was gone to before."""
+        self.show(start=time_s)
+        self.run_method("jump", time_s)
+
 
 class RobotView(Element, component="browser/robot_view.js"):
     """One robot, coloured by the errors of its joints or posed live."""
@@ -90,7 +95,8 @@ def table(columns: dict[str, str], rows: list[dict[str, Any]], key: str, **more:
         {"name": c, "label": label, "field": c, "align": "right" if c in numeric else "left", "sortable": True}
         for c, label in columns.items()
     ]
-    return ui.table(columns=listed, rows=rows, row_key=key, **more).props("flat dense").style("width: 100%")
+    made = ui.table(columns=listed, rows=rows, row_key=key, **more).props("flat dense wrap-cells").style("width: 100%")
+    return made if len(rows) > (more.get("pagination") or len(rows)) else made.props("hide-bottom")
 
 
 __all__ = ["Player", "RobotView", "card", "chart", "empty", "nicegui", "notes", "soft", "table", "words"]

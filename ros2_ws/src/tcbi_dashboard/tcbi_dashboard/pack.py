@@ -44,6 +44,7 @@ def write(
     comparison: Comparison,
     also: Comparison | None = None,
     rungs: Sequence[Rung] = (),
+    report: str = "",
 ) -> Path:
     """Write a comparison as a folder of `folder`, whole or not at all.
 
@@ -53,6 +54,7 @@ def write(
       comparison: of it.
       also: of another model with the same rollouts.
       rungs: the error of each version that it comes from.
+      report: name of the report of the same comparison.
     """
     stamp = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%S%f")
     work = Path(tempfile.mkdtemp(prefix=".new-", dir=folder))
@@ -61,7 +63,8 @@ def write(
         ground = Ground(load_rig(model.rig))
         for r in range(len(comparison.rollouts)):
             (work / f"{r}.bin").write_bytes(_rollout(comparison, also, motion, ground, r))
-        text = json.dumps(_plain({**_summary(comparison, also), "ladder": [dataclasses.asdict(r) for r in rungs]}))
+        more = {"ladder": [dataclasses.asdict(r) for r in rungs], "report": report}
+        text = json.dumps(_plain({**_summary(comparison, also), **more}))
         (work / SUMMARY).write_text(text, encoding="utf-8")
         final = folder / f"{COMPARISON}{model.version}-{stamp}"
         os.rename(work, final)

@@ -21,7 +21,7 @@ from tcbi_dashboard.workbench import Workbench
 
 TICK_S = 0.5
 FIRST = "Compare"
-CSS = Path(__file__).parent / "browser" / "page.css"
+BROWSER = Path(__file__).parent / "browser"
 
 
 def build(bench: Workbench, live: Live) -> None:
@@ -48,7 +48,7 @@ class Shell:
             "Live": LiveView(self.session, live),
             "Compare": CompareView(self.session),
             "Where": WhereView(self.session),
-            "Why": WhyView(self.session),
+            "Why": WhyView(self.session, live),
             "Add": AddView(self.session, live),
             "Reports": ReportsView(self.session),
         }
@@ -57,19 +57,26 @@ class Shell:
 
     def build(self, first: str) -> None:
         """Head, panels, and the clock that keeps them up to date."""
-        ui.add_css(CSS)
+        ui.add_css(BROWSER / "page.css")
+        ui.add_head_html(f"<script>{(BROWSER / 'snapshot.js').read_text(encoding='utf-8')}</script>")
         ui.colors(primary="#0072b2")
         names = list(self.views)
         start = next((n for n in names if n.lower() == first.lower()), FIRST)
         dark = ui.dark_mode(None)
+
+        async def turn() -> None:
+            dark.set_value(not await ui.run_javascript("document.body.classList.contains('body--dark')"))
+
         with ui.element("header").classes("tcbi-head"):
             ui.html("tcbi", tag="h1", sanitize=False)
             with ui.tabs().props("dense no-caps align=left inline-label") as tabs:
                 for name in names:
                     ui.tab(name)
-            ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props(
-                "flat round dense aria-label='light or dark'"
-            )
+            with ui.element("div").classes("tcbi-tools"):
+                with ui.button(icon="download").props("flat round dense aria-label='save this view'"), ui.menu():
+                    ui.menu_item("Save this view as HTML", self._save_html)
+                    ui.menu_item("Save this view as PNG", lambda: self._snapshot("png"))
+                ui.button(icon="contrast", on_click=turn).props("flat round dense aria-label='light or dark'")
             self.jobs = ui.element("div").classes("tcbi-jobs")
         self.tabs = tabs
         with (
@@ -78,7 +85,7 @@ class Shell:
         ):
             self.panels = {}
             for name in names:
-                with ui.tab_panel(name) as panel:
+                with ui.tab_panel(name).classes("tcbi-view") as panel:
                     self.panels[name] = panel
         self._see(start)
         tabs.on_value_change(self._changed)
@@ -87,6 +94,17 @@ class Shell:
     def show(self, name: str) -> None:
         """Go to a view."""
         self.tabs.set_value(name)
+
+    def _save_html(self) -> None:
+        """The report that the command line writes of the same, or the view itself where there is none."""
+        report = self.views[self.tabs.value].report()
+        if report:
+            ui.download.file(report)
+        else:
+            self._snapshot("html")
+
+    def _snapshot(self, kind: str) -> None:
+        ui.run_javascript(f"tcbiSnapshot({kind!r}, {self.tabs.value!r})")
 
     def _changed(self, event) -> None:
         self._see(event.value)

@@ -61,6 +61,7 @@ def posterior(store: ModelStore, version: str) -> dict[str, Any]:
                 "unit": p.unit,
                 "low": p.low,
                 "high": p.high,
+                "scale": p.scale,
                 "identified": told.get(p.name, {}).get("identified"),
                 "mean": float(m),
                 "low90": float(np.quantile(column, 0.05)),

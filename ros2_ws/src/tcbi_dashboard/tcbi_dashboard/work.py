@@ -66,8 +66,8 @@ def run_compare(task: Task, emit: Emit) -> None:
     watch("writing what the page shows")
     report = Report("Model against measurement", f"Model {model.version}, {len(comparison.rollouts)} rollouts.")
     add_comparison(report, comparison, also, rungs)
-    report.write(store.folder("reports") / file_name("compare", model.version, comparison.rollouts))
-    emit("result", folder=str(pack.write(store.folder("runs"), model, comparison, also, rungs)))
+    written = report.write(store.folder("reports") / file_name("compare", model.version, comparison.rollouts))
+    emit("result", folder=str(pack.write(store.folder("runs"), model, comparison, also, rungs, written.name)))
 
 
 def run_diagnose(task: Task, emit: Emit) -> None:
@@ -202,6 +202,18 @@ def run_retrain(task: Task, emit: Emit) -> None:
     emit("result", **dataclasses.asdict(outcome))
 
 
+@dataclasses.dataclass(frozen=True)
+class _Telling:
+    """Progress of one of several collections in a row."""
+
+    watch: Watch
+    before: int
+    total: int
+
+    def __call__(self, done: int, name: str, left_s: float) -> None:
+        self.watch(f"{name}, {left_s:.0f} s left", (self.before + done) / self.total)
+
+
 def run_collect(task: Task, emit: Emit) -> None:
     """Ask the recorder of the running graph for rollouts; to be cancelled is to have the present one aborted."""
     from tcbi_infer.collect_client import CollectClient
@@ -209,16 +221,20 @@ def run_collect(task: Task, emit: Emit) -> None:
     from tcbi_infer.errors import RecordingError
 
     wish = task.options
-    request = Request(wish["task"], wish["number"], wish["seed"], wish["policy"], duration_s=wish["duration_s"])
+    number, times = wish["number"], wish["times"]
+    slopes = {axis: (wish[axis],) * number for axis in ("slope_roll", "slope_pitch") if wish.get(axis) is not None}
+    request = Request(wish["task"], number, wish["seed"], wish["policy"], duration_s=wish["duration_s"], **slopes)
     check(request)
-    watch = Watch(emit)
+    watch, bags = Watch(emit), []
     watch("waiting for the recorder")
     with CollectClient(namespace=wish["namespace"]) as client:
-        client.on_progress = lambda done, name, left: watch(f"{name}, {left:.0f} s left", done / request.number)
-        result, succeeded = client.collect(request, READY_S)
-    emit("result", bags=list(result.bags), message=result.message)
-    if not succeeded:
-        raise RecordingError(f"{len(result.bags)} of {request.number} rollouts recorded: {result.message}")
+        for again in range(times):  # the same request makes the same motions on the same slopes
+            client.on_progress = _Telling(watch, again * number, number * times)
+            result, succeeded = client.collect(request, READY_S)
+            bags += list(result.bags)
+            emit("result", bags=bags, message=result.message)
+            if not succeeded:
+                raise RecordingError(f"{len(bags)} of {number * times} rollouts recorded: {result.message}")
 
 
 RUNS: dict[str, Callable[[Task, Emit], None]] = {

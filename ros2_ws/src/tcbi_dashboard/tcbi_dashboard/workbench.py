@@ -14,7 +14,7 @@ from tcbi_dashboard.access import Access
 from tcbi_dashboard.catalogue import Catalogue
 from tcbi_dashboard.jobs import Slot
 from tcbi_dashboard.names import COMPARISON, DIAGNOSIS, MOMENTS, SUMMARY
-from tcbi_dashboard.task import Task
+from tcbi_dashboard.task import DIAGNOSE, Task
 from tcbi_sim.store import ModelStore
 
 
@@ -26,7 +26,7 @@ class Workbench:
         self.catalogue = Catalogue(folders)
         self.work = Slot()  # whatever needs the processors: one thing at a time
         self.recording = Slot()  # a collection of rollouts, which needs hardly any
-        self.edits = 0  # grows when the page changes the store
+        self._diagnosis: Path | None = None
         os.environ["TCBI_STORE"] = str(store.root.absolute())  # workers look up the user's own effects there
 
     def poll(self) -> None:
@@ -48,8 +48,21 @@ class Workbench:
         return _newest(self.store.root / "runs", f"{COMPARISON}*/{SUMMARY}", lambda p: p.parent)
 
     def diagnosis(self) -> Path | None:
-        """File of the newest diagnosis."""
-        return _newest(self.store.root / "runs", f"{DIAGNOSIS}*.json", lambda p: p)
+        """File of the newest diagnosis; one of this page counts once its job has ended, with its report."""
+        job = self.work.job
+        if not (job and job.task.kind == DIAGNOSE and not job.ended):
+            self._diagnosis = _newest(self.store.root / "runs", f"{DIAGNOSIS}*.json", lambda p: p)
+        return self._diagnosis
+
+    def comparison_report(self) -> Path | None:
+        """Report of the newest comparison."""
+        folder = self.comparison()
+        try:
+            summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8")) if folder else {}
+        except OSError:  # removed meanwhile
+            return None
+        path = self.store.root / "reports" / summary.get("report", "")
+        return path if path.is_file() else None
 
     def moments(self, diagnosis: Path) -> list[dict[str, Any]]:
         """The worst moments that a diagnosis of the page kept; none for one of the command line."""

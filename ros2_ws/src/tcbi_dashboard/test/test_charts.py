@@ -11,7 +11,7 @@ ESTIMATE = {"name": "backlash.gap", "unit": "rad", "value": 0.05, "low90": 0.04,
 CANDIDATE = {"use": "backlash", "elpd_gain": 10.0, "elpd_se": 2.0}
 MOMENT = {"signal": "lf_coxa", "unit": "deg", "time": [0.0, 0.1], "measured": [1.0, None], "before": [0.0, 0.5],
           "after": [0.9, 1.0]}  # fmt: skip
-MASS = {"name": "mass", "unit": "kg", "low": 0.0, "high": 1.0}
+MASS = {"name": "mass", "unit": "kg", "low": 0.1, "high": 1.0, "scale": "linear"}
 MADE = {
     "over_floor": charts.over_floor({"lf_coxa": 3.0, "roll": math.nan}),
     "heat": charts.heat(["a", "b"], ["moving"], [[2.0, None]]),
@@ -21,7 +21,7 @@ MADE = {
     "moment": charts.moment(MOMENT, "backlash"),
     "history": charts.history(["v0", "v1"], [27.0, None]),
     "ladder": charts.ladder({"model": 5.0}),
-    "pair": charts.pair(MASS, {**MASS, "name": "friction", "unit": "1"}, [[0.5, 0.6]]),
+    "pair": charts.pair(MASS, {**MASS, "name": "friction", "unit": "1", "scale": "log"}, [[0.5, 0.6]]),
     "lines": charts.lines("training", "steps", "return", {"mean": [(0, 1.0), (1, math.inf)]}),
     "levels": charts.levels(["a"], "position / deg", 30.0),
 }
@@ -40,7 +40,7 @@ def test_a_chart_is_json_that_any_browser_reads(name):
 
 @pytest.mark.parametrize("name", MADE)
 def test_every_axis_with_numbers_has_a_title(name):
-    numeric = [a for which in ("xAxis", "yAxis") for a in axes(MADE[name], which) if a["type"] == "value"]
+    numeric = [a for which in ("xAxis", "yAxis") for a in axes(MADE[name], which) if a["type"] != "category"]
     assert all(a.get("name") or a.get("show") is False for a in numeric)
 
 

@@ -28,10 +28,11 @@ export default {
   async mounted() {
     await new Promise((done) => setTimeout(done, 0));
     try {
-      this.stage = new Stage(this.$el.querySelector("canvas"), { extent: this.skeleton.floating ? 0.5 : 0.6 });
+      this.stage = new Stage(this.$el.querySelector("canvas"));
       this.robot = new Robot(this.skeleton, { color: MEASURED });
       this.ghost = new Robot(this.skeleton, { color: PREDICTED, opacity: 0.45 });
       this.stage.scene.add(this.robot.root, this.ghost.root);
+      if (!this.skeleton.floating) this.stage.frame(this.robot.root);
     } catch (error) {
       this.fault = "This browser cannot draw in 3D (WebGL is off). The signals below show the same motion.";
     }
@@ -125,7 +126,7 @@ export default {
       this.robot?.pose(base_measured, 7 * this.index, joints_measured, joints * this.index);
       this.ghost?.pose(base_predicted, 7 * this.index, joints_predicted, joints * this.index);
       const [x, y, z] = base_measured.slice(7 * this.index, 7 * this.index + 3);
-      this.stage?.follow(x, y, this.skeleton.floating ? z - 0.03 : 0.0);
+      if (this.skeleton.floating) this.stage?.follow(x, y, z - 0.03);
       this.stage?.ask();
       this.mark();
     },

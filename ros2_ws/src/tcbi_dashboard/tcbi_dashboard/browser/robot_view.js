@@ -14,10 +14,11 @@ export default {
   async mounted() {
     await new Promise((done) => setTimeout(done, 0));
     try {
-      this.stage = new Stage(this.$el.querySelector("canvas"), { extent: this.skeleton.floating ? 0.5 : 0.6 });
+      this.stage = new Stage(this.$el.querySelector("canvas"));
       this.robot = new Robot(this.skeleton, { color: "#98a1ab" });
       this.stage.scene.add(this.robot.root);
       if (this.skeleton.floating) this.stage.follow(0, 0, 0.06);
+      else this.stage.frame(this.robot.root);
       this.paint();
     } catch (error) {
       this.fault = "This browser cannot draw in 3D (WebGL is off).";

@@ -1,6 +1,7 @@
 """Add and watch: one button adds an effect, the error falls version by version; undo, differences, posteriors."""
 
 import asyncio
+from pathlib import Path
 from typing import Any
 
 from nicegui import ui
@@ -28,7 +29,7 @@ class AddView(View):
     def build(self) -> None:
         """Candidates above, then the history, the versions, one version's posterior, the policy."""
         self.candidates = ui.element("div").classes("tcbi-grid")
-        with card("The error, version by version").style("margin-top: 1rem"):
+        with card("The error, version by version"):
             self.history = ui.element("div").style("width: 100%")
             with self.history:
                 soft("Reading the versions …")
@@ -37,8 +38,8 @@ class AddView(View):
                 ui.button("Measure all versions on these", on_click=self.measure).props("outline").mark("measure")
                 infer = ui.button("Infer the parameters from these", on_click=self.infer).props("outline")
                 infer.tooltip("task-consistent Bayesian inference on the model chosen; makes a new version")
-        self.details = ui.element("div").classes("tcbi-grid").style("margin-top: 1rem")
-        with ui.element("div").classes("tcbi-grid").style("margin-top: 1rem"):
+        self.details = ui.element("div").classes("tcbi-grid")
+        with ui.element("div").classes("tcbi-grid"):
             self.retrain.build()
 
     def state(self) -> object:
@@ -51,6 +52,11 @@ class AddView(View):
         self.picker.refresh()
         self.retrain.tick()
         super().tick()
+
+    def report(self) -> Path | None:
+        """Of the last change of the model, or of its versions' errors: whichever is newer."""
+        kinds = ("add-", "remove-", "history-")
+        return next((p for p in self.bench.reports() if p.name.startswith(kinds)), None)
 
     def refresh(self) -> None:
         """Show candidates at once; the versions follow."""
@@ -131,7 +137,8 @@ class AddView(View):
         with card("Versions", "half"), ui.element("div").classes("tcbi-versions"):
             for line in reversed(lines):
                 words(line["model"], "strong")
-                words(f"{charts.number(line['error'])} × floor", "span")
+                error = "not measured" if line["error"] is None else f"{charts.number(line['error'])} × floor"
+                words(error, "span", "tcbi-version-error")
                 made = {"diagnosis": "added", "remove": "effect removed"}.get(line["made"], line["made"])
                 guess = ", not accepted: a guess" if line["accepted"] is False and line["made"] == "diagnosis" else ""
                 words(f"{', '.join(line['effects']) or 'no effects'} ({made}{guess})", "span", "tcbi-soft")
@@ -192,7 +199,7 @@ def _difference(d: dict[str, Any], before: str, after: str) -> None:
         for p in d["parameters"]
     ]
     heads = {"name": "parameter", "before": f"{before}: mean (90 %)", "after": after, "overlap": "overlap"}
-    table(heads, rows, "name", pagination=0).props("wrap-cells")
+    table(heads, rows, "name", pagination=0)
 
 
 def _span(values: list[float] | None) -> str:

@@ -1,5 +1,7 @@
 """What all views have in common: they are built when first seen, and redrawn when what they depend on has changed."""
 
+from pathlib import Path
+
 from nicegui import ui
 
 from tcbi_contract.errors import TcbiError
@@ -29,6 +31,10 @@ class View:
 
     def refresh(self) -> None:
         """Redraw."""
+
+    def report(self) -> Path | None:
+        """The report of what the view shows, as the command line writes it; None where there is none."""
+        return None
 
     def tick(self) -> None:
         """Called twice a second while the view is seen."""

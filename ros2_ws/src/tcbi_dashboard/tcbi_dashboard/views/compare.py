@@ -58,7 +58,7 @@ class CompareView(View):
             with ui.element("div").classes("tcbi-row"):
                 self.also = ui.select([NOTHING], value=NOTHING, label="beside it").props("outlined dense options-dense")
                 ui.button("Compare", on_click=self.compare, icon="compare_arrows").mark("compare")
-        self.result = ui.element("div").classes("tcbi-grid").style("margin-top: 1rem")
+        self.result = ui.element("div").classes("tcbi-grid")
 
     def state(self) -> object:
         """What the view depends on."""
@@ -75,12 +75,16 @@ class CompareView(View):
             place, self.session.place = self.session.place, None
             self.rollout.set_value(place.rollout)
             self.signals.set_value(list(dict.fromkeys([place.signal, *self.signals.value]))[:FIRST_SIGNALS])
-            self.player.show(start=place.begin)
+            self.player.jump(place.begin)
 
     def compare(self) -> None:
         """Start a comparison."""
         also = {} if self.also.value in (NOTHING, self.session.version()) else {"also": self.also.value}
         self.start(self.bench.task(task.COMPARE, self.session.version(), self.session.bags(), **also))
+
+    def report(self) -> Path | None:
+        """Of the newest comparison."""
+        return self.bench.comparison_report()
 
     def refresh(self) -> None:
         """Show the newest comparison."""
@@ -139,7 +143,7 @@ class CompareView(View):
     def _signals(self, c: dict[str, Any]) -> None:
         ratios = {s["name"]: s["ratio"] for s in c["signals"]}
         with card("Every signal"):
-            chart(charts.over_floor(ratios), 70 + 17 * len(ratios))
+            chart(charts.over_floor(ratios), 94 + 17 * len(ratios))
             with ui.expansion("in figures").style("width: 100%"):
                 columns = {"name": "signal", "unit": "unit", "error": "error", "noise_floor": "noise floor",
                            "ratio": "error / floor", "coverage90": "inside 90 % band"}  # fmt: skip

@@ -17,7 +17,7 @@ from tcbi_dashboard.views.compare import skeleton_of
 from tcbi_sim.rigs import load_rig
 
 POSE_S = 0.1  # between two postures of the drawing
-RANGE_DEG = 35.0  # a little more than the joints' own
+RANGE_DEG = 40.0  # a little more than the joints' own
 LEVELS = {0: "fine", 1: "warning", 2: "error", 3: "stale"}
 GAITS = ["gait:steps", "gait:sinus", "gait:chirp", "gait:squat", "gait:twist", "gait:tripod", "none"]
 TOLERANCE = 0.15  # of the contract's rate
@@ -35,7 +35,7 @@ class LiveView(View):
 
     def build(self) -> None:
         """Stop button first, then the robot, the rates, the nodes, a collection."""
-        self.place = ui.element("div")
+        self.place = ui.element("div").style("width: 100%")
         with ui.element("div").classes("tcbi-grid"):
             with card("Robot", "two-thirds"):
                 self.robot = RobotView(skeleton_of(RIG), "The robot as it stands now")
@@ -64,13 +64,20 @@ class LiveView(View):
             self.task = ui.select(["balance", "forward"], value="balance", label="task")
             self.motion = ui.select(GAITS, value=GAITS[0], label="motion or policy", new_value_mode="add-unique")
             self.motion.props("use-input")
-            self.number = ui.number("how often", value=2, min=1, max=1000, precision=0)
-            self.seconds = ui.number("length / s (0: the task's own)", value=0, min=0, max=3600)
+            self.number = ui.number("rollouts", value=1, min=1, max=1000, precision=0)
+            self.times = ui.number("each so often", value=2, min=1, max=100, precision=0)
+            self.roll = ui.number("slope, roll / deg", min=-30, max=30, placeholder="drawn")
+            self.pitch = ui.number("slope, pitch / deg", min=-30, max=30, placeholder="drawn")
+            self.seconds = ui.number("length / s", min=0.2, max=3600, placeholder="the task's own")
             self.seed = ui.number("seed", value=0, min=0, precision=0)
-            for element in (self.task, self.motion, self.number, self.seconds, self.seed):
-                element.props("outlined dense options-dense")
+            drawn = (self.roll, self.pitch, self.seconds)
+            for element in (self.task, self.motion, self.number, self.times, *drawn, self.seed):
+                element.props("outlined dense options-dense stack-label")
             ui.button("Record", on_click=self.record, icon="fiber_manual_record").mark("record")
-        soft("The robot moves. Record each motion twice, and five motions or more, for a diagnosis.")
+        soft(
+            "The robot moves. Each motion twice, on the same slope, shows what the robot differs from itself; a "
+            "diagnosis needs five motions or more."
+        )
         self.landed = words("", "p")
 
     async def stop(self) -> None:
@@ -86,6 +93,9 @@ class LiveView(View):
         options: dict[str, Any] = {
             "task": self.task.value,
             "number": int(self.number.value or 1),
+            "times": int(self.times.value or 1),
+            "slope_roll": _radians(self.roll.value),
+            "slope_pitch": _radians(self.pitch.value),
             "seed": int(self.seed.value or 0),
             "policy": self.motion.value or "",
             "duration_s": float(self.seconds.value or 0),
@@ -178,7 +188,12 @@ class LiveView(View):
     def _show_landed(self) -> None:
         job = self.bench.recording.job
         if job and job.result and self.bench.access.motion:
-            self.landed.set_content(f"{len(job.result['bags'])} rollouts recorded; they are on the Compare view.")
+            count = len(job.result["bags"])
+            self.landed.set_content(f"{count} rollout{'s' * (count != 1)} recorded; they are on the Compare view.")
+
+
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else math.radians(degrees)
 
 
 def _attitude(quaternion: tuple[float, float, float, float] | None) -> str:

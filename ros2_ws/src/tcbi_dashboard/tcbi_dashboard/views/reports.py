@@ -4,7 +4,7 @@ import time
 
 from nicegui import ui
 
-from tcbi_dashboard.elements import card, empty, soft, words
+from tcbi_dashboard.elements import card, empty, soft
 from tcbi_dashboard.views.base import View
 
 
@@ -29,15 +29,16 @@ class ReportsView(View):
                 return
             with card("Reports"):
                 soft("Each is one file that needs nothing else: open it anywhere, send it to anybody.")
-                with ui.element("div").classes("tcbi-moments"):
+                with ui.element("div").classes("tcbi-reports"):
                     for path in reports:
                         status = path.stat()
-                        ui.link(path.stem, f"/report/{path.name}", new_tab=True)
-                        words(time.strftime("%Y-%m-%d %H:%M", time.localtime(status.st_mtime)), "span")
-                        words(f"{status.st_size / 1000:.0f} kB", "span", "tcbi-soft")
-                        words(str(path), "span", "tcbi-soft")
+                        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(status.st_mtime))
+                        with ui.element("div"):
+                            ui.link(path.stem, f"/report/{path.name}", new_tab=True)
+                            soft(f"{when}, {status.st_size / 1000:.0f} kB, in {path.parent}")
                         ui.button("Save", on_click=lambda p=path: ui.download.file(p)).props("flat dense")
             with card("Pictures"):
                 soft(
-                    "Every chart has an arrow and every 3D drawing a PNG button in its corner, which save what is seen."
+                    "The arrow at the top saves the view that is seen, as HTML or PNG. Every chart has an arrow and "
+                    "every 3D drawing a PNG button in its corner, which save that part alone."
                 )

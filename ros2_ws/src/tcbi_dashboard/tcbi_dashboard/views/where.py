@@ -1,5 +1,6 @@
 """Where: the robot coloured by error, joint x phase, error against conditions, the worst moments."""
 
+from pathlib import Path
 from typing import Any
 
 from nicegui import ui
@@ -21,6 +22,10 @@ class WhereView(View):
     def state(self) -> object:
         """What the view depends on."""
         return self.bench.comparison()
+
+    def report(self) -> Path | None:
+        """Of the newest comparison."""
+        return self.bench.comparison_report()
 
     def refresh(self) -> None:
         """Show the newest comparison."""

@@ -6,14 +6,18 @@ from typing import Any
 
 from nicegui import ui
 
-from tcbi_dashboard import charts, task
+from tcbi_contract.errors import TcbiError
+from tcbi_dashboard import charts, next_motions, task
 from tcbi_dashboard.elements import card, chart, empty, notes, soft, table, words
+from tcbi_dashboard.live import Live
 from tcbi_dashboard.picker import HOW_TO_RECORD, Picker
+from tcbi_dashboard.session import Session
 from tcbi_dashboard.views.base import View
+from tcbi_infer.diagnose.evidence import NextMotion
 
 HEADLINES = {
     "effect": "An effect is missing",
-    "cannot_tell": "These rollouts cannot tell",
+    "cannot_tell": "An effect is missing, but which one cannot be told",
     "nothing_missing": "Nothing missing was found",
     "outside_library": "Something is missing that the library does not hold",
 }
@@ -34,6 +38,10 @@ def read(path: Path | None) -> dict[str, Any] | None:
 class WhyView(View):
     """The view; it shows the newest diagnosis of the store."""
 
+    def __init__(self, session: Session, live: Live) -> None:
+        super().__init__(session)
+        self.live = live
+
     def build(self) -> None:
         """The choice above, the verdict below."""
         with card("Find the effect that the model lacks"):
@@ -43,7 +51,7 @@ class WhyView(View):
                 quick = ui.button("Quick look", on_click=lambda: self.diagnose(True)).props("outline")
                 quick.tooltip("coarser steps, two full fits, nothing sealed").mark("quick")
             soft("Every effect of the library is fitted and judged on motions that the fit has not seen.")
-        self.result = ui.element("div").classes("tcbi-grid").style("margin-top: 1rem")
+        self.result = ui.element("div").classes("tcbi-grid")
 
     def state(self) -> object:
         """What the view depends on."""
@@ -57,6 +65,11 @@ class WhyView(View):
     def diagnose(self, quick: bool) -> None:
         """Start a diagnosis."""
         self.start(self.bench.task(task.DIAGNOSE, self.session.version(), self.session.bags(), quick=quick))
+
+    def report(self) -> Path | None:
+        """Of the newest diagnosis."""
+        path = self.bench.diagnosis()
+        return path.with_suffix(".html") if path and path.with_suffix(".html").is_file() else None
 
     def refresh(self) -> None:
         """Show the newest diagnosis."""
@@ -83,7 +96,8 @@ class WhyView(View):
                 self._untestable(found)
 
     def _verdict(self, d: dict[str, Any]) -> None:
-        with card(HEADLINES.get(d["verdict"], d["verdict"])):
+        nothing_held_out = d["verdict"] == "cannot_tell" and not d["effects"]
+        with card("These rollouts cannot tell" if nothing_held_out else HEADLINES[d["verdict"]]):
             words(d["statement"], "p", f"tcbi-verdict {TONES.get(d['verdict'], '')}").mark("verdict")
             notes([*d.get("guards", ()), *d.get("claims", ())])
             if d.get("uses"):
@@ -93,16 +107,54 @@ class WhyView(View):
                 ).mark("go-add")
 
     def _next(self, d: dict[str, Any]) -> None:
-        if not d.get("next_motions"):
+        motions = next_motions.motions(d)
+        if not motions:
             return
+        from tcbi_infer.diagnose import excitation  # takes a moment to load, and few diagnoses need it
+
         with card("What to record next"):
-            soft("The motions that would tell most, each to be recorded twice.")
-            for motion in d["next_motions"]:
-                first, second = (use or "no new effect" for use in motion["between"])
-                words(f"{motion['description']}: tells {first} from {second}", "p")
-                if motion["command"]:
-                    with ui.element("p"):
-                        words(motion["command"], "code")
+            for sentence in excitation.advice(motions):
+                words(sentence, "p")
+            for motion in {m.motion: m for m in excitation.best(motions)}.values():
+                self._offer(motion)
+            columns = {"motion": "motion", "what": "what it does", "between": "to tell apart",
+                       "nats": "evidence / nats", "length": "length / s"}  # fmt: skip
+            rows = [
+                {
+                    "key": i,
+                    "motion": m.motion,
+                    "what": m.description,
+                    "between": " from ".join(use or "no new effect" for use in m.between),
+                    "nats": charts.number(m.nats),
+                    "length": charts.number(m.duration_s),
+                }
+                for i, m in enumerate(motions)
+            ]
+            with ui.expansion(f"{len(rows)} motions were considered").style("width: 100%"):
+                table(columns, rows, "key", pagination=10)
+
+    def _offer(self, motion: NextMotion) -> None:
+        """A button that records a motion, where this page can; else what to do instead."""
+        if not motion.command:
+            words(f"{motion.motion}: command it twice, record both, and put the bags among these rollouts.", "p")
+            ui.button(
+                "Save its commands as CSV",
+                on_click=lambda: ui.download.content(next_motions.as_csv(motion), f"{motion.motion}.csv"),
+            ).props("outline").style("align-self: start")
+            return
+        if self.bench.access.motion:
+            ui.button(
+                f"Record {motion.motion} twice (the robot moves)", on_click=lambda: self._record(motion), icon="circle"
+            ).style("align-self: start").mark("record-next")
+        with ui.element("p"):
+            words(motion.command, "code")
+
+    def _record(self, motion: NextMotion) -> None:
+        options = {**next_motions.collection(motion), "namespace": self.live.namespace.strip("/")}
+        try:
+            self.bench.recording.start(self.bench.task(task.COLLECT, **options))
+        except TcbiError as e:
+            ui.notify(str(e), type="warning")
 
     def _ladder(self, d: dict[str, Any]) -> None:
         with card("How wrong is the model?", "half"):
@@ -115,7 +167,10 @@ class WhyView(View):
         with card("Which effect explains the error?", "half"):
             chart(charts.gains(ranking, d["uses"]), 90 + 26 * min(12, len(ranking)))
             limit = charts.number(d.get("threshold"), 2)
-            soft(f"How much better unseen motions are predicted. Luck alone reaches {limit} standard errors.")
+            soft(
+                "How much better unseen motions are predicted, with one standard error. "
+                f"Luck alone reaches {limit} standard errors."
+            )
         with card("The candidates in figures"):
             columns = {"use": "effect", "gain": "held-out gain / nats", "se": "s.e.", "before": "error before",
                        "after": "after", "size": "size (90 % interval)", "why": "accepted?"}  # fmt: skip
@@ -132,16 +187,20 @@ class WhyView(View):
                 for e in d["ranking"]
             ]
             with ui.expansion(f"{len(rows)} candidates").style("width: 100%"):
-                table(columns, rows, "use", pagination=10).props("wrap-cells")
+                table(columns, rows, "use", pagination=10)
 
     def _sizes(self, d: dict[str, Any]) -> None:
         named = [e for e in d["ranking"] if e["use"] in d["uses"] and e["refined"]]
-        for estimate in (p for e in named for p in e["parameters"]):
-            with card(estimate["name"], "third"):
-                words(_size(estimate), "p")
-                chart(charts.interval(estimate), 130)
-                if estimate["null"] is not None:
-                    soft("Dot: fitted value; bar: 90 % interval; cross: where the effect would vanish.")
+        estimates = [p for e in named for p in e["parameters"]]
+        if not estimates:
+            return
+        with card("How large is it?"):
+            with ui.element("div").classes("tcbi-grid"):
+                for estimate in estimates:
+                    with ui.element("div").classes("tcbi-half"):
+                        words(_size(estimate), "p")
+                        chart(charts.interval(estimate), 130)
+            soft("Dot: fitted value; bar: 90 % interval; cross: where the effect would vanish.")
 
     def _moments(self, d: dict[str, Any], moments: list[dict[str, Any]]) -> None:
         best = d["ranking"][0]["use"] if d["ranking"] else ""

@@ -85,13 +85,13 @@ export class Robot {
 }
 
 export class Stage {
-  constructor(canvas, { extent = 0.5 } = {}) {
+  constructor(canvas) {
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(38, 1, 0.01, 20);
     this.camera.up.set(0, 0, 1);
-    this.camera.position.set(1.15 * extent, -1.6 * extent, 1.05 * extent);
+    this.camera.position.set(0.57, -0.8, 0.52);
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x667080, 2.2));
     const sun = new THREE.DirectionalLight(0xffffff, 1.6);
     sun.position.set(1, -1, 2);
@@ -136,6 +136,15 @@ export class Stage {
     const move = new THREE.Vector3(x, y, z).sub(this.controls.target);
     this.controls.target.add(move);
     this.camera.position.add(move);
+    this.controls.update();
+  }
+
+  // a rig that stays where it is, in the middle of the picture with room to swing
+  frame(object) {
+    const ball = new THREE.Box3().setFromObject(object).getBoundingSphere(new THREE.Sphere());
+    const way = new THREE.Vector3(0.5, -0.8, 0.35).setLength(5 * ball.radius);
+    this.controls.target.copy(ball.center);
+    this.camera.position.copy(ball.center).add(way);
     this.controls.update();
   }
 
