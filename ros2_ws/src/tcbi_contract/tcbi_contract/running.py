@@ -3,7 +3,7 @@
 def main(args=None) -> int:
     return run("sim_node", SimNode, args)
 
-rclpy's own handlers shut the context down from another thread, in the midst of whatever the executor does, which at times
+rclpy's own handlers shut the context down from another thread, in the midst of what the executor does, which at times
 ends in one of rclpy's errors, or never. Here a signal only ends the spinning: the callback in hand is finished,
 then the node is destroyed and the context shut down, in this order and in one thread.
 """

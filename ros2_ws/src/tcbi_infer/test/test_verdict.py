@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
     EFFECT,
@@ -13,7 +14,6 @@ from tcbi_infer.diagnose.evidence import (
     Evidence,
     ParameterEstimate,
 )
-from tcbi_infer.diagnose.screen import paired_statistic, standard_error
 from tcbi_infer.diagnose.verdict import accept, ranked, rule
 
 GAINS = (40.0, 45.0, 38.0, 42.0, 41.0, 44.0)
@@ -112,7 +112,25 @@ def test_one_kind_of_motion_tells_nothing():
 
 def test_a_recording_half_as_long_may_gain_half_as_much():
     gains, alike, sizes = np.array([40.0, 42.0, 38.0, 20.0]), np.full(4, 9), np.array([10, 10, 10, 5])
-    assert paired_statistic(gains, sizes) > 3 * paired_statistic(gains, alike)
-    assert paired_statistic(gains, alike, 0.0) == pytest.approx(gains.mean() / (gains.std(ddof=1) / 2))
-    assert gains.sum() / standard_error(gains, alike) == pytest.approx(paired_statistic(gains, alike, 0.0))
-    assert paired_statistic(gains[:1], sizes[:1]) == 0.0 and np.isnan(standard_error(gains[:1], sizes[:1]))
+    assert paired.statistic(gains, sizes) > 3 * paired.statistic(gains, alike)
+    gain, se = paired.total(gains, alike)
+    assert gain == gains.sum() and gain / se == pytest.approx(gains.mean() / (gains.std(ddof=1) / 2))
+    assert paired.statistic(gains[:1], sizes[:1]) == 0.0 and np.isnan(paired.total(gains[:1], sizes[:1])[1])
+
+
+def test_one_motion_in_which_a_foot_slipped_otherwise_does_not_decide():
+    gains, sizes = np.array([219.0, 381, -401, 270, 300, 342, 245]), np.ones(7)
+    assert gains.mean() / (gains.std(ddof=1) / np.sqrt(7)) < 2.0 < 5.0 < paired.statistic(gains, sizes)
+    assert paired.statistic(np.array([0.0, 0, 900, 0, 0, 0, 0]), sizes) == 0.0  # nor does one alone prove anything
+
+
+def test_a_gain_of_pure_chance_passes_the_limit_as_often_as_it_says():
+    gains = np.random.default_rng(3).normal(size=(7, 20_000)) * 100
+    share = (paired.statistic(gains, np.ones(7)) > paired.limit(7, 0.95)).mean()
+    assert 0.035 < share < 0.06
+
+
+def test_a_candidate_that_predicts_better_but_less_evenly_is_named_beside_the_one_accepted():
+    uneven = evidence("backlash", [2 * g for g in GAINS], statistic=1.9, after=1.4)
+    ruling = ruled(evidence("link_flexibility", after=2.0), uneven)
+    assert ruling.verdict == CANNOT_TELL and set(ruling.uses) == {"link_flexibility", "backlash"}

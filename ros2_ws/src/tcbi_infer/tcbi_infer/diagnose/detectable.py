@@ -16,11 +16,12 @@ from scipy.special import ndtri, stdtrit
 
 from tcbi_contract.wording import with_unit
 from tcbi_infer.compare.signals import ATTITUDE, JOINT
+from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import DetectableSize
 from tcbi_infer.diagnose.heldout import imitated, shared_error
 from tcbi_infer.diagnose.null import Null
 from tcbi_infer.diagnose.problem import TAIL, Problem
-from tcbi_infer.diagnose.screen import Screen, Targets, paired_statistic
+from tcbi_infer.diagnose.screen import Screen, Targets
 from tcbi_infer.diagnose.verdict import USEFUL
 from tcbi_sim.parameter import Parameter
 
@@ -246,7 +247,7 @@ class _Use:
         kr = self._with_signal(self.noise.kr, self.signal.kr[..., ks] * multiples)
         gains = self.screen.held_out(Targets(nr, kr))[:, 0].reshape(-1, len(ks), count)
         gains = robust_gain(gains, self.samples[:, None, None])
-        power = (paired_statistic(gains, self.screen.sizes) > self.background.null.threshold).mean(axis=-1)
+        power = (paired.statistic(gains, self.screen.sizes) > self.background.null.threshold).mean(axis=-1)
         return power, gains.sum(axis=0).mean(axis=-1)
 
     def _with_signal(self, noise: np.ndarray, signal: np.ndarray) -> np.ndarray:

@@ -36,7 +36,8 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
-CLOSE_STEPS = (0.05, 0.05, 0.03, 0.03, 0.03, 0.02, 0.02)  # of finite differences; a fit that has converged ends before
+CLOSE_STEPS = (0.05, 0.05, 0.03, 0.03, 0.03)  # of finite differences; a fit that has converged ends before
+HOPELESS = 0.2  # of the best candidate's gain: one that gains less with coarse steps gets no fine ones
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
 Progress = Callable[[str, float], None]  # stage, share done
 
@@ -48,7 +49,7 @@ class Settings:
     refine: int = 3  # candidates that get a full fit
     per_effect: int = 2  # sites of one effect among them
     further: int = 8  # other effects that are looked at far from the base fit, where much is left unexplained
-    escape: bool = True  # candidates' fits, too, look for other valleys of the loss
+    escape: bool = True  # the best candidate's fit, too, looks for other valleys of the loss
     least_share: float | None = None  # of the best candidate's gain in screening, that a full fit takes; None: any
     timestep: float = 0.002  # s, of the final fits
     coarse: float = 0.005  # s, of the screening and of first fits
@@ -213,7 +214,9 @@ class _Run:
         nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
         again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
         fit = again.run(first.unit[None], steps=CLOSE_STEPS)
-        return again.escape(fit, width, CLOSE_STEPS), nuisance
+        fit = again.escape(fit, width, CLOSE_STEPS)
+        self.base_loss = fit.total
+        return fit, nuisance
 
     def _full(self, residual: np.ndarray) -> np.ndarray:
         full = np.zeros_like(self.problem.observed)
@@ -282,17 +285,20 @@ class _Run:
         shares: tuple[float, float] = (0.55, 0.75),
     ) -> dict[int, tuple[Fit, Fit]]:
         begin, end = shares
-        fits = {}
+        fitted: dict[int, tuple[Fitter, Fit]] = {}
         for i, u in enumerate(chosen):
             model = screen.directions.models[u]
             self.progress(f"fitting {screen.directions.uses[u]}", begin + (end - begin) * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
             starts = start_points(screen, data, u, base, fitter)
-            rough = fitter.run(starts, steps=CLOSE_STEPS)
-            if self.settings.escape:
-                rough = fitter.escape(rough, len(base.unit), CLOSE_STEPS)
-            fits[u] = rough, self._refit(rough, nuisance)
-        return fits
+            fitted[u] = fitter, fitter.run(starts, steps=CLOSE_STEPS)
+        if self.settings.escape and fitted:
+            u = min(fitted, key=lambda u: fitted[u][1].total)
+            fitter, rough = fitted[u]
+            fitted[u] = fitter, fitter.escape(rough, len(base.unit), CLOSE_STEPS)
+        gains = {u: self.base_loss - rough.total for u, (_, rough) in fitted.items()}
+        least = HOPELESS * max(gains.values(), default=0.0)
+        return {u: (rough, self._refit(rough, nuisance)) for u, (_, rough) in fitted.items() if gains[u] >= least}
 
     def _alike(self, screen: Screen, data: Targets, chosen: Sequence[int]) -> dict[str, tuple[str, ...]]:
         names = screen.directions.uses

@@ -33,11 +33,12 @@ class Evidence:
 
     Attributes:
       effect: name in the library; `use` adds the place, as in "weak_leg:lm".
-      elpd_gain: held-out gain of log score in nats, summed over kinds of motion; `elpd_se` its standard error.
+      elpd_gain: held-out gain of log score in nats, of all kinds of motion (`paired.total`); `elpd_se` its error.
       statistic: gain over its standard error, both per kind of motion.
       error_before: error over noise floor on rollouts that no fit saw, base model refitted.
       error_after: the same with the effect.
       refined: fitted by simulation; else only screened, and the figures are a linear estimate.
+      gains: of each kind of motion, in nats; `sizes` the replicate sets of each.
       alike: uses that change the signals in nearly the same way.
       confused_with: those, and uses that explain these rollouts about as well.
       values: (P,) parameters of the whole model with the effect, physical; empty where not refined.
@@ -59,6 +60,7 @@ class Evidence:
     confused_with: tuple[str, ...] = ()
     alike: tuple[str, ...] = ()
     gains: tuple[float, ...] = ()
+    sizes: tuple[int, ...] = ()
     names: tuple[str, ...] = ()
     values: tuple[float, ...] = ()
     spread: tuple[tuple[float, ...], ...] = ()

@@ -30,7 +30,7 @@ SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
 POLISH = (0.02, 0.02, 0.02)  # with known slopes their sizes say only that they may end the fit
 CLOSE = (0.03, 0.03, 0.03)  # of a range, where slopes are taken once more
-POLISH_STRETCH = (2.0, 1.0, 0.4)
+POLISH_STRETCH = (1.0, 0.4)
 REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
 FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
 

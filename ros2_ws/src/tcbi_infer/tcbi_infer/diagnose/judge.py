@@ -15,11 +15,11 @@ from tcbi_infer.compare.locate import worst_moments
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replicates import Split
 from tcbi_infer.compare.signals import JOINT
+from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import Evidence, Moment, ParameterEstimate
 from tcbi_infer.diagnose.fit import Fit, Nuisance
 from tcbi_infer.diagnose.heldout import HeldOut, fold_indices, held_out, intervals
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_infer.diagnose.screen import paired_statistic, standard_error
 from tcbi_sim.measurement import Measurement
 
 
@@ -80,6 +80,7 @@ class Judge:
           drift: (P,) how far the optimum may still move as the time step goes to zero, in ranges.
         """
         fit, gains = after.fit, after.held.score - before.held.score
+        gain, se = paired.total(gains, self.sizes)
         low, high, covariance = intervals(fit, after.held, drift, after.error)
         lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)
         parameters = tuple(
@@ -89,15 +90,16 @@ class Judge:
         return Evidence(
             effect=use.partition(":")[0],
             use=use,
-            elpd_gain=float(gains.sum()),
-            elpd_se=float(standard_error(gains, self.sizes)),
-            statistic=float(paired_statistic(gains, self.sizes)),
+            elpd_gain=float(gain),
+            elpd_se=float(se),
+            statistic=float(paired.statistic(gains, self.sizes)),
             error_before=before.error,
             error_after=after.error,
             parameters=parameters[len(before.fit.unit) :] if use else parameters,
             refined=True,
             converged=fit.converged,
             gains=tuple(float(g) for g in gains),
+            sizes=tuple(int(s) for s in self.sizes),
             names=fit.model.names,
             values=tuple(float(v) for v in fit.parameters),
             spread=tuple(tuple(float(x) for x in row) for row in covariance),
@@ -129,16 +131,18 @@ class Judge:
 
 def screened(use: str, gains: np.ndarray, sizes: np.ndarray, error_before: float) -> Evidence:
     """The linear estimate (F,) in nats of a use that got no full fit, kinds of motion holding `sizes` (F,) sets."""
+    gain, se = paired.total(gains, sizes)
     return Evidence(
         effect=use.partition(":")[0],
         use=use,
-        elpd_gain=float(gains.sum()),
-        elpd_se=float(standard_error(gains, sizes)),
-        statistic=float(paired_statistic(gains, sizes)),
+        elpd_gain=float(gain),
+        elpd_se=float(se),
+        statistic=float(paired.statistic(gains, sizes)),
         error_before=error_before,
         error_after=float("nan"),
         parameters=(),
         refined=False,
         converged=False,
         gains=tuple(float(g) for g in gains),
+        sizes=tuple(int(s) for s in sizes),
     )

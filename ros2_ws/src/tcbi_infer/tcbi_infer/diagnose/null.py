@@ -9,11 +9,11 @@ search is run on each.
 import dataclasses
 
 import numpy as np
-from scipy.special import stdtrit
 
+from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_infer.diagnose.screen import Screen, Targets, paired_statistic
+from tcbi_infer.diagnose.screen import Screen, Targets
 
 DRAWS = 300
 LEVEL = 0.95
@@ -99,10 +99,9 @@ def simulate_null(
         data += signs[:, :, None, None] * leftover
         scales.append(screen.unit_scale(data))
         parts.append(screen.targets(data * scales[-1][:, None, None, None]))
-        maxima.extend(paired_statistic(screen.held_out(parts[-1]), screen.sizes).max(axis=0))
+        maxima.extend(paired.statistic(screen.held_out(parts[-1]), screen.sizes).max(axis=0))
     values = np.array(maxima)
     kinds_count = len(screen.folds)
-    single = float(stdtrit(max(kinds_count - 1, 1), LEVEL))
     targets = Targets(*(np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in ("nr", "kr")))
-    threshold = max(float(np.quantile(values, LEVEL)), single)
+    threshold = max(float(np.quantile(values, LEVEL)), paired.limit(kinds_count, LEVEL))
     return Null(threshold, values, kinds_count, targets, np.concatenate(scales))

@@ -294,29 +294,3 @@ class Screen:
         both = np.einsum("asi,bsi,si->ab", self.change[ks], self.change[ks], self.precision, optimize=True)
         profiled = both - nk.T @ inverse @ nk
         return float(profiled[0, 1] / np.sqrt(max(profiled[0, 0] * profiled[1, 1], 1e-12)))
-
-
-def standard_error(gains: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """(...) of the sum of gains, from how far kinds of motion differ in their gain for as much data; NaN of one.
-
-    Args:
-      gains: (F, ...) nats.
-      sizes: (F,) replicate sets of each kind: of one with half as many, half the gain is expected.
-    """
-    if len(gains) < 2:
-        return np.full(gains.shape[1:], np.nan)
-    share = sizes / np.mean(sizes)
-    rates = gains / share.reshape(-1, *[1] * (gains.ndim - 1))
-    return np.std(rates, axis=0, ddof=1) * np.sqrt(np.sum(share**2))
-
-
-def paired_statistic(gains: np.ndarray, sizes: np.ndarray, least_se: float = 0.3) -> np.ndarray:
-    """(...) held-out gain over its standard error between kinds of motion.
-
-    Args:
-      gains: (F, ...) nats.
-      sizes: (F,) replicate sets of each kind.
-      least_se: nats a kind, added in quadrature, so that tiny gains that agree by chance do not count.
-    """
-    se = np.nan_to_num(standard_error(gains, sizes), nan=np.inf)
-    return gains.sum(axis=0) / np.sqrt(se**2 + (len(gains) * least_se) ** 2)

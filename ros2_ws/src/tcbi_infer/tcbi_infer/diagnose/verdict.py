@@ -4,11 +4,12 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import stdtrit
 
 from tcbi_infer.compare.replicates import MIN_KINDS
+from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Evidence
 
+LEVEL = 0.95  # of the test that one candidate is better than another
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
 WELL_PREDICTED = 3.0  # times the noise floor: above what emulated robots with nothing hidden were seen to leave
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
@@ -28,7 +29,7 @@ class Ruling:
 def accept(evidence: Evidence, threshold: float) -> tuple[bool, str]:
     """Whether a candidate passes every requirement, and if not, which it failed."""
     if not evidence.refined:
-        return False, "its screening score was too low for a full fit"
+        return False, "its first estimate was too low for a full fit"
     if not evidence.statistic > threshold:
         return (
             False,
@@ -49,12 +50,8 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
     result = []
     for other in others:
         difference = np.array(best.gains) - np.array(other.gains)
-        count = len(difference)
-        if count < 2:
-            result.append(other)
-            continue
-        se = float(np.std(difference, ddof=1) / np.sqrt(count))
-        if difference.mean() < float(stdtrit(count - 1, 0.95)) * se:
+        mean, se = paired.total(difference, np.array(best.sizes or [1] * len(difference)))
+        if not mean >= paired.limit(len(difference), LEVEL) * se:
             result.append(other)
     return result
 
@@ -71,6 +68,19 @@ def indistinct(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
         for o in others
         if not _richer_twin(best, o)
         and (o.use in unclear or (o.use in best.alike and len(o.parameters) == len(best.parameters)))
+    ]
+
+
+def better(best: Evidence, ranking: Sequence[Evidence]) -> list[Evidence]:
+    """Candidates that predict unseen motions better than the best of the accepted, though less evenly."""
+    return [
+        e
+        for e in ranking
+        if e.refined
+        and not e.accepted
+        and e.converged
+        and e.elpd_gain > best.elpd_gain
+        and e.error_after < best.error_after
     ]
 
 
@@ -118,7 +128,7 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
             f"{best.error_before:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
-    equal = indistinct(best, accepted[1:])
+    equal = indistinct(best, accepted[1:]) + better(best, ranking)
     caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])
