@@ -195,7 +195,7 @@ def interval(estimate: Mapping[str, Any]) -> Options:
         estimate["name"],
         xAxis=_axis(
             with_unit(estimate["name"], estimate["unit"]), type="value", min=min(ends) - pad, max=max(ends) + pad,
-            axisLabel={"color": INK, "hideOverlap": True, ":formatter": "(v) => Number(v.toPrecision(3))"},
+            axisLabel={"color": INK, "hideOverlap": True, "showMinLabel": False, "showMaxLabel": False},
         ),
         yAxis={"type": "value", "min": -1, "max": 1, "show": False},
         series=series,
@@ -221,7 +221,7 @@ def moment(data: Mapping[str, Any], after: str) -> Options:
     series.append(line("measured", data["measured"], ORANGE, [5, 3]))
     return _frame(
         data["signal"],
-        legend={"textStyle": {"color": INK}, "left": 0, "top": 0, "itemWidth": 22},
+        legend={"textStyle": {"color": INK}, "left": 0, "top": 0, "itemWidth": 30, "itemStyle": {"opacity": 0}},
         tooltip={"trigger": "axis", "confine": True},
         xAxis=_axis("time / s", type="value", min="dataMin", max="dataMax", splitLine={"show": False}),
         yAxis=_axis(with_unit(data["signal"], data["unit"]), type="value", scale=True, nameGap=40),
