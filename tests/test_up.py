@@ -108,10 +108,14 @@ def test_run_hands_the_process_over_to_the_node(call):
 def test_doctor_finds_a_running_graph_well(start_graph, domain, tmp_path):
     start_graph(NodeProcess("tcbi_sim", "sim_node"))
     words = [*TCBI, "doctor", "--json", "--store", str(tmp_path)]
-    result = subprocess.run(words, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
-    report = json.loads(result.stdout)
-    found = {check["name"]: check for check in report["checks"]}
-    assert found["graph"]["found"] == "sim_node"
+    deadline = time.monotonic() + DEADLINE_S
+    while True:  # on a busy machine the doctor's seconds may not be enough to discover a node
+        result = subprocess.run(words, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+        report = json.loads(result.stdout)
+        found = {check["name"]: check for check in report["checks"]}
+        if found["graph"]["found"] == "sim_node":
+            break
+        assert time.monotonic() < deadline, found["graph"]
     assert found["topic joint_states"]["status"] in ("ok", "warning"), "a busy machine may slow it down"
     assert "1 publisher" in found["topic joint_states"]["found"]
     assert report["faults"] == sum(check["status"] == "fault" for check in report["checks"])

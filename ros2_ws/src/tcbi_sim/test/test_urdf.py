@@ -68,7 +68,7 @@ def test_links_stand_where_mujoco_puts_the_bodies(model, robot):
         angles = dict(zip(JOINTS, rng.uniform(-0.5, 0.5, len(JOINTS)), strict=True))
         for joint, angle in angles.items():
             data.joint(joint).qpos = angle
-        data.qpos[:7] = [0.3, -0.2, 0.1, *Rotation.random(random_state=2).as_quat(scalar_first=True)]
+        data.qpos[:7] = [0.3, -0.2, 0.1, *np.roll(Rotation.random(random_state=2).as_quat(), 1)]
         mujoco.mj_forward(model, data)
         poses = link_poses(robot, angles)
         assert {f"{leg}_foot" for leg in LEGS} | {IMU_FRAME, "base_link"} <= set(poses)
