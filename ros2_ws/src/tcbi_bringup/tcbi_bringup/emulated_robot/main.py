@@ -98,6 +98,8 @@ def _terminal(link: Path | None) -> PseudoTerminal:
     try:
         return PseudoTerminal(link)
     except OSError as error:
+        if link is None:
+            raise EmulatedRobotError(f"cannot open a pseudo-terminal: {error}; is /dev/pts mounted?") from error
         raise EmulatedRobotError(f"cannot open a serial port at {link}: {error}; choose another folder") from error
 
 
