@@ -50,6 +50,14 @@ def go_to(page, view: str) -> None:
     page.wait_for_selector(".q-tab-panel section:visible, .q-tab-panel .tcbi-empty:visible")
 
 
+def saved(page, kind: str) -> bytes:
+    """What the page gives as the view that is seen, "HTML" or "PNG"."""
+    page.get_by_role("button", name="save this view").click()
+    with page.expect_download() as download:
+        page.get_by_text(f"Save this view as {kind}").click()
+    return download.value.path().read_bytes()
+
+
 def fits(page) -> bool:
     """Whether the page is no wider than the screen."""
     return page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
@@ -120,9 +128,13 @@ def test_every_view_works_with_one_rollout(tmp_path, look):
         page.get_by_text("1 of 1 rollout").first.wait_for()
         page.get_by_role("button", name="Compare").click()
         page.get_by_text("times the noise floor: servo_bench-v0").wait_for()
+        (report,) = (tmp_path / "reports").glob("compare-*.html")
+        assert saved(page, "HTML") == report.read_bytes()
         for view in VIEWS:
             go_to(page, view)
             assert fits(page), view
+        picture = saved(page, "PNG")
+        assert picture.startswith(b"\x89PNG") and int.from_bytes(picture[16:20], "big") > 700
 
 
 def test_five_hundred_rollouts_are_listed_compared_and_chosen_from(tmp_path, look):
