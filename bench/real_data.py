@@ -5,8 +5,8 @@
 ./tcbi python bench/real_data.py --only so101
 
 The recordings lie at TCBI_DATA or ../shared/data. Every model is fitted alike, by damped Gauss-Newton steps from the
-best of random starts, to recordings that are not those it is judged on. Times are of the processor. mujoco.sysid is
-compared where it is installed (`uv pip install "mujoco[sysid]"`).
+nominal values and from the best of random starts, to recordings that are not those it is judged on. Times are of the
+processor. mujoco.sysid is compared where it is installed (`uv pip install "mujoco[sysid]"`).
 """
 
 import argparse
@@ -36,10 +36,10 @@ DATA = Path(os.environ.get("TCBI_DATA", Path(__file__).resolve().parents[2] / "s
 class Effort:
     """How a model is fitted."""
 
-    starts: int = 12
+    starts: int = 16
     kept: int = 2
-    steps: int = 6
-    timestep: float = 0.0025  # s
+    steps: int = 8
+    timestep: float = 0.005  # s
     rate: float = 50.0  # Hz
     robust: float = float(np.radians(3.5))  # residuals beyond it count less
 
@@ -71,9 +71,10 @@ class Fitter:
     def fit(self) -> np.ndarray:
         """(P,) the best of several descents."""
         effort = self.data.effort
+        nominal = self.model.to_unit(np.array([p.nominal for p in self.model.parameters]))
         starts = np.random.default_rng(0).uniform(0.1, 0.9, (effort.starts, len(self.model.names)))
         losses = self._loss(self._residuals(starts))
-        ends = [self._descend(starts[i]) for i in np.argsort(losses)[: effort.kept]]
+        ends = [self._descend(start) for start in (nominal, *starts[np.argsort(losses)[: effort.kept]])]
         return self.model.from_unit(min(ends, key=lambda end: end[0])[1])
 
     def _residuals(self, unit: np.ndarray) -> np.ndarray:
@@ -129,7 +130,7 @@ def pendulum(quick: bool) -> list[dict[str, Any]]:
         read_log(load_mapping("xl330_bench"), path) for path in sorted((DATA / "xl330_pendulum").glob("*.json"))
     ]
     names = sorted({m.rollout_id.partition("_")[2] for m in recordings})
-    effort = Effort(starts=8, kept=1) if quick else Effort()
+    effort = Effort(starts=8, kept=1, steps=6) if quick else Effort()
     figures: list[dict[str, Any]] = []
     squares: dict[str, list[float]] = {"": [], "load_friction": []}
     for held in names[:1] if quick else names:
@@ -145,7 +146,7 @@ def pendulum(quick: bool) -> list[dict[str, Any]]:
 
 def arm() -> list[dict[str, Any]]:
     """Six servos: the ideal servo, which is at its command, and what the elbow needs beside it."""
-    effort = Effort(starts=8, kept=1, steps=5, timestep=0.005)
+    effort = Effort(starts=6, kept=0, steps=6)
     mapping = load_mapping("so101_arm")
     logs = {path.name: read_log(mapping, path) for path in sorted((DATA / "so101_arm").iterdir()) if path.is_dir()}
     chosen = ("static_holding", "velocity_ramp", "chirp_sweep", "backlash_detection")
@@ -181,7 +182,7 @@ def ideal_servo(data: Data) -> np.ndarray:
 
 def double_pendulum() -> list[dict[str, Any]]:
     """Two motors: a frictionless model, and what it lacks."""
-    effort = Effort(timestep=0.002, rate=100.0)
+    effort = Effort(kept=1, timestep=0.002, rate=100.0)
     seen, unseen = _double_pendulum(effort)
     figures = []
     for effects in ((), ("viscous_damping",), ("coulomb_friction",)):

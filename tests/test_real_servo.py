@@ -40,7 +40,7 @@ def test_load_friction_lowers_the_servos_error_on_the_trajectory_held_out_first(
 @pytest.mark.timeout(300)
 def test_the_elbow_droops_and_sticks_but_wrist_roll_and_jaw_do_not_droop(bench):
     """With values chosen on other motions (docs/real_data.md), on a minute each of two that they were not chosen on."""
-    effort = bench.Effort(timestep=0.005)
+    effort = bench.Effort()
     mapping = bench.load_mapping("so101_arm")
     logs = [bench.DATA / "so101_arm" / name for name in ("step_response", "backlash_detection")]
     unseen = bench.Data([bench.pieces(bench.read_log(mapping, log), 60.0)[0] for log in logs], effort)

@@ -5,6 +5,8 @@ effect is missing, cannot switch a servo's power off in the middle of a recordin
 with the load.
 """
 
+import contextlib
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -54,7 +56,9 @@ def fit(
         change = lambda spec, p, modify=modify: modify(spec, float(p.value[0]))  # noqa: E731
         parameters.add(sysid.Parameter(name, nominal, low, high, modifier=change))
     began = time.process_time()
-    found, _ = sysid.optimize(parameters, sysid.build_residual_fn(models_sequences=seen, n_threads=1), verbose=False)
+    with contextlib.redirect_stdout(sys.stderr):  # its optimiser prints its iterations, and stdout is for figures
+        residual = sysid.build_residual_fn(models_sequences=seen, n_threads=1)
+        found, _ = sysid.optimize(parameters, residual, verbose=False)
     seconds = time.process_time() - began
     judge = sysid.build_residual_fn(models_sequences=unseen, n_threads=1)
     _, predicted, measured = judge(found.as_vector(), found)
