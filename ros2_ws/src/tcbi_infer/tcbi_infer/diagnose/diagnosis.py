@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from tcbi_contract.wording import counted
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
@@ -378,9 +379,8 @@ class _Run:
         if kinds < 2:
             claims = ["Nothing was held out: the errors shown are those on the motion of the fit itself."]
         else:
-            claims = [
-                f"{kinds} kinds of motion were held out in turn; {len(sealed)} rollouts stayed sealed until the end."
-            ]
+            stayed = f"; {counted(len(sealed), 'rollout')} stayed sealed until the end" if sealed else ""
+            claims = [f"{kinds} kinds of motion were held out in turn{stayed}."]
         if not sealed and kinds >= 2:
             why = "Too few kinds of motion to seal any" if self.settings.sealed_share else "A quick look seals none"
             claims.append(f"{why}: the errors shown are cross-validated.")

@@ -137,7 +137,7 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
             (best.use, *(e.use for e in equal)),
             f"Something is missing, but these rollouts cannot tell which: {names}.{caveat}",
         )
-    still = f" The remaining error is {left:.1f} times the floor." if left > WELL_PREDICTED else ""
+    still = " Much is left to explain: add it, and diagnose the new version again." if left > WELL_PREDICTED else ""
     return Ruling(
         EFFECT,
         (best.use,),
