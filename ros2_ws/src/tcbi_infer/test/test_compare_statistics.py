@@ -62,16 +62,18 @@ def test_the_same_motion_on_another_bench_is_the_same_kind():
 
 
 def test_no_kind_of_motion_is_in_two_parts_of_a_split():
-    sets = [Replicates((i,), i % 5) for i in range(15)]
+    sets = [Replicates((i,), i % 6) for i in range(18)]
     parts = [*split(sets).folds, split(sets).sealed]
     kinds = [{sets[i].kind for i in part} for part in parts]
-    assert sum(len(k) for k in kinds) == len(set().union(*kinds)) == 5
-    assert sorted(i for part in parts for i in part) == list(range(15))
+    assert sum(len(k) for k in kinds) == len(set().union(*kinds)) == 6
+    assert sorted(i for part in parts for i in part) == list(range(18))
     assert split(sets).sealed
 
 
 def test_few_kinds_leave_nothing_sealed():
-    assert split([Replicates((i,), i) for i in range(3)]).sealed == ()
+    for count, sealed in ((3, 0), (5, 0), (6, 1), (7, 1), (10, 2)):
+        parts = split([Replicates((i,), i) for i in range(count)])
+        assert (len(parts.sealed), len(parts.folds)) == (sealed, count - sealed)
 
 
 def test_the_floor_of_replicates_is_their_noise_whatever_the_model_gets_wrong():
