@@ -134,3 +134,11 @@ def test_a_candidate_that_predicts_better_but_less_evenly_is_named_beside_the_on
     uneven = evidence("backlash", [2 * g for g in GAINS], statistic=1.9, after=1.4)
     ruling = ruled(evidence("link_flexibility", after=2.0), uneven)
     assert ruling.verdict == CANNOT_TELL and set(ruling.uses) == {"link_flexibility", "backlash"}
+
+
+def test_sealed_motions_that_contradict_the_others_leave_the_verdict_open():
+    found = evidence("joint_offset:lm_coxa", after=4.8, before=2.5, held_out=(2.5, 1.8))
+    ruling = ruled(found, base_error=2.5)
+    assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("joint_offset:lm_coxa",)) and "sealed" in ruling.statement
+    neither = dataclasses.replace(found, held_out=(2.5, 2.45))
+    assert ruled(neither, base_error=2.5).verdict == NOTHING_MISSING

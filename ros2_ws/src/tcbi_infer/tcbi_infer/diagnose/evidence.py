@@ -37,6 +37,7 @@ class Evidence:
       statistic: gain over its standard error, both per kind of motion.
       error_before: error over noise floor on rollouts that no fit saw, base model refitted.
       error_after: the same with the effect.
+      held_out: error over noise floor before and after, of the open motions alone, each predicted without its own kind.
       refined: fitted by simulation; else only screened, and the figures are a linear estimate.
       gains: of each kind of motion, in nats; `sizes` the replicate sets of each.
       alike: uses that change the signals in nearly the same way.
@@ -59,6 +60,7 @@ class Evidence:
     reason: str = ""
     confused_with: tuple[str, ...] = ()
     alike: tuple[str, ...] = ()
+    held_out: tuple[float, float] | None = None
     gains: tuple[float, ...] = ()
     sizes: tuple[int, ...] = ()
     names: tuple[str, ...] = ()

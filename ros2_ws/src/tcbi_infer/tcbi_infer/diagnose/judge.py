@@ -98,6 +98,7 @@ class Judge:
             parameters=parameters[len(before.fit.unit) :] if use else parameters,
             refined=True,
             converged=fit.converged,
+            held_out=(self.held_out_error(before), self.held_out_error(after)),
             gains=tuple(float(g) for g in gains),
             sizes=tuple(int(s) for s in self.sizes),
             names=fit.model.names,

@@ -14,6 +14,7 @@ USEFUL = 0.05  # of the error over the floor: an effect must lower it at least b
 WELL_PREDICTED = 3.0  # times the noise floor: above what emulated robots with nothing hidden were seen to leave
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
 MOSTLY = 1 / 2  # of the excess error: nothing is called complete that one more effect would explain so far
+CONTRADICTED = "it lowers the error of the motions held out in turn, but not that of the sealed ones"
 EXPLAINED = 1 / 3  # of the excess error: a candidate that explains less leaves "something else is missing" open
 
 
@@ -35,14 +36,20 @@ def accept(evidence: Evidence, threshold: float) -> tuple[bool, str]:
             False,
             f"its held-out gain is {evidence.statistic:.1f} standard errors, the search alone reaches {threshold:.1f}",
         )
-    if not evidence.error_after < (1 - USEFUL) * evidence.error_before:
-        return False, "it hardly lowers the error"
+    if not _lowered(evidence.error_before, evidence.error_after):
+        return False, CONTRADICTED if evidence.held_out and _lowered(
+            *evidence.held_out
+        ) else "it hardly lowers the error"
     sized = [p for p in evidence.parameters if p.null is not None]
     if sized and not any(p.excludes_null for p in sized):
         return False, "its size may be zero"
     if not evidence.converged:
         return False, "its fit did not converge"
     return True, ""
+
+
+def _lowered(before: float, after: float) -> bool:
+    return after < (1 - USEFUL) * before
 
 
 def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
@@ -154,6 +161,12 @@ def _explained(e: Evidence) -> float:
 def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
     best = ranking[0] if ranking else None
     hint = f" The best candidate was {best.use}: {best.reason}." if best else ""
+    if best and best.reason == CONTRADICTED:
+        return Ruling(
+            CANNOT_TELL,
+            (best.use,),
+            f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more kinds of motion.",
+        )
     much = EXPLAINED if base_error > WELL_PREDICTED else MOSTLY
     if best and base_error > NOTICEABLE and _explained(best) >= much:
         return Ruling(
