@@ -36,15 +36,14 @@ def accept(evidence: Evidence, threshold: float) -> tuple[bool, str]:
             False,
             f"its held-out gain is {evidence.statistic:.1f} standard errors, the search alone reaches {threshold:.1f}",
         )
-    if not _lowered(evidence.error_before, evidence.error_after):
-        return False, CONTRADICTED if evidence.held_out and _lowered(
-            *evidence.held_out
-        ) else "it hardly lowers the error"
     sized = [p for p in evidence.parameters if p.null is not None]
     if sized and not any(p.excludes_null for p in sized):
         return False, "its size may be zero"
     if not evidence.converged:
         return False, "its fit did not converge"
+    if not _lowered(evidence.error_before, evidence.error_after):
+        contradicted = evidence.held_out and _lowered(*evidence.held_out)
+        return False, CONTRADICTED if contradicted else "it hardly lowers the error"
     return True, ""
 
 
@@ -165,7 +164,7 @@ def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int) -
         return Ruling(
             CANNOT_TELL,
             (best.use,),
-            f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more kinds of motion.",
+            f"Something may be missing: {best.use} passes every test but the last: {CONTRADICTED}. Record more motions.",
         )
     much = EXPLAINED if base_error > WELL_PREDICTED else MOSTLY
     if best and base_error > NOTICEABLE and _explained(best) >= much:
