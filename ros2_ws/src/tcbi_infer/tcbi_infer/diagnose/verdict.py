@@ -164,7 +164,7 @@ def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int) -
         return Ruling(
             CANNOT_TELL,
             (best.use,),
-            f"Something may be missing: {best.use} passes every test but the last: {CONTRADICTED}. Record more motions.",
+            f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more motions.",
         )
     much = EXPLAINED if base_error > WELL_PREDICTED else MOSTLY
     if best and base_error > NOTICEABLE and _explained(best) >= much:
