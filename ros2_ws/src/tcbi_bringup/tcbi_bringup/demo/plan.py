@@ -77,7 +77,7 @@ QUICK = Plan(
     deployment_s=3.0,
     effects=BASIC_EFFECTS,
     settings=QUICK_DIAGNOSIS,
-    particles=16,
+    particles=64,
     generations=2,
     training_s=12.0,
 )
