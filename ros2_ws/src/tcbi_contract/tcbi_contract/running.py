@@ -5,7 +5,8 @@ def main(args=None) -> int:
 
 rclpy's own handlers shut the context down from another thread, in the midst of what the executor does, which at times
 ends in one of rclpy's errors, or never. Here a signal only ends the spinning: the callback in hand is finished,
-then the node is destroyed and the context shut down, in this order and in one thread.
+then the node is destroyed and the context shut down, in this order and in one thread. Of an executor with several
+threads, a callback may go on meanwhile: the node's `destroy_node` asks it to end.
 """
 
 import os

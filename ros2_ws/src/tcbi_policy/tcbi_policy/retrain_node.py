@@ -1,6 +1,7 @@
 """The action `retrain`: trains in a subprocess while the graph goes on, and swaps a better policy in."""
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
 SWAP_TIMEOUT_S = 5.0
+ENDING_S, ENDING_POLL_S = 4.0, 0.1  # for a training to end with the node
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class RetrainNode(Node):
         super().__init__("retrain_node")
         self.values = declare(self, RetrainParameters)
         self._store = Path(self.values.store).expanduser() if self.values.store else default_root()
-        self._busy = False
+        self._busy = self._closing = False
         self._in_use = ""
         self._state: dict[str, Any] = {"state": "idle"}
         self._waiting: TrainingProcess | None = None
@@ -83,7 +85,7 @@ class RetrainNode(Node):
             outcome = retrain(
                 job,
                 lambda event: self._on_event(handle, event),
-                lambda: bool(handle.is_cancel_requested),
+                lambda: bool(handle.is_cancel_requested) or self._closing,
                 self._process,
             )
             self._finish(handle, result, outcome)
@@ -98,7 +100,7 @@ class RetrainNode(Node):
         return result
 
     def _stand_by(self) -> None:
-        if self.values.stand_by and self._waiting is None:
+        if self.values.stand_by and self._waiting is None and not self._closing:
             self._waiting = TrainingProcess()
 
     def _process(self) -> TrainingProcess:
@@ -107,7 +109,11 @@ class RetrainNode(Node):
         return process
 
     def destroy_node(self) -> None:
-        """End the process that stands by, then the node."""
+        """End the training and the process that stands by, then the node; the training goes on when asked for again."""
+        self._closing = True
+        deadline = time.monotonic() + ENDING_S
+        while self._busy and time.monotonic() < deadline:
+            time.sleep(ENDING_POLL_S)
         if self._waiting is not None:
             self._waiting.close()
         super().destroy_node()
@@ -138,7 +144,7 @@ class RetrainNode(Node):
         result.accepted, result.policy, result.message = outcome.accepted, outcome.path, outcome.message
         result.return_before, result.return_after = outcome.return_before, outcome.return_after
         if outcome.cancelled:
-            handle.canceled()
+            handle.canceled() if handle.is_cancel_requested else handle.abort()
             return
         result.success = True
         if outcome.accepted:
