@@ -53,6 +53,18 @@ def test_verdict_ranking_size_and_caveats_are_on_the_page():
         assert words in text
 
 
+def test_the_headline_is_no_surer_than_the_verdict():
+    def headline(**changes) -> str:
+        report = Report("What does the model lack?")
+        add_diagnosis(report, dataclasses.replace(DIAGNOSIS, verdict="cannot_tell", **changes))
+        return report.sections[0].title
+
+    unsure = (dataclasses.replace(NAMED, accepted=False), OTHER)
+    assert headline() == "An effect is missing, but which one cannot be told"
+    assert headline(ranking=unsure) == "An effect may be missing"
+    assert headline(ranking=unsure, effects=(), uses=()) == "These rollouts cannot tell"
+
+
 def test_figures_take_the_colour_of_the_page_and_share_no_ids():
     ids = re.findall(r' id="([^"]+)"', page())
     assert "currentColor" in page() and len(ids) == len(set(ids))

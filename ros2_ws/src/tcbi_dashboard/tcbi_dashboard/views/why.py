@@ -1,6 +1,7 @@
 """Why: which effect the model lacks, how sure that is, what it would change, and what to record next."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,13 @@ def read(path: Path | None) -> dict[str, Any] | None:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
+
+
+def headline(d: Mapping[str, Any]) -> str:
+    """No surer than the statement below it: an effect that was not accepted may be missing, no more."""
+    if d["verdict"] != "cannot_tell" or any(e["accepted"] for e in d["ranking"]):
+        return HEADLINES[d["verdict"]]
+    return "An effect may be missing" if d["effects"] else "These rollouts cannot tell"
 
 
 class WhyView(View):
@@ -96,8 +104,7 @@ class WhyView(View):
                 self._untestable(found)
 
     def _verdict(self, d: dict[str, Any]) -> None:
-        nothing_held_out = d["verdict"] == "cannot_tell" and not d["effects"]
-        with card("These rollouts cannot tell" if nothing_held_out else HEADLINES[d["verdict"]]):
+        with card(headline(d)):
             words(d["statement"], "p", f"tcbi-verdict {TONES.get(d['verdict'], '')}").mark("verdict")
             notes([*d.get("guards", ()), *d.get("claims", ())])
             if d.get("uses"):

@@ -20,6 +20,13 @@ HEADLINES = {
 LABELS = {"unfitted": "model as it was", "base": "model, parameters fitted"}
 
 
+def _headline(d: Diagnosis) -> str:
+    """No surer than the statement below it: an effect that was not accepted may be missing, no more."""
+    if d.verdict != CANNOT_TELL or any(e.accepted for e in d.ranking):
+        return HEADLINES[d.verdict]
+    return "These rollouts cannot tell" if _nothing_held_out(d) else "An effect may be missing"
+
+
 def _nothing_held_out(d: Diagnosis) -> bool:
     """Whether the rollouts had one kind of motion only: the one verdict of `cannot_tell` that names nothing."""
     return d.verdict == CANNOT_TELL and not d.effects
@@ -53,9 +60,8 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     """The verdict, the ladder, the ranking, the fitted sizes, what the verdict rests on."""
     d = diagnosis
     tone = {EFFECT: "warn", NOTHING_MISSING: "good"}.get(d.verdict, "neutral")
-    headline = "These rollouts cannot tell" if _nothing_held_out(d) else HEADLINES[d.verdict]
     sizes = Table(detectable.HEAD, detectable.rows(d.detectable), detectable.TITLE) if d.detectable else None
-    report.add(Section(headline, verdict=d.statement, tone=tone, notes=d.claims, table=sizes, folded=True))
+    report.add(Section(_headline(d), verdict=d.statement, tone=tone, notes=d.claims, table=sizes, folded=True))
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
     add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in d.errors.items()], repeated=d.floor_from_replicates)
