@@ -75,11 +75,15 @@ def test_a_newcomer_sees_learns_adds_and_watches_the_error_fall(tmp_path, look):
         page.get_by_text("times the noise floor: servo_bench-v0").wait_for()
         before = float(page.locator(".tcbi-figure").inner_text())
         assert before > 2
-        moved = page.evaluate(
+        page.wait_for_function("Number(document.querySelector('.tcbi-transport input')?.max) > 10")
+        page.evaluate(
             "() => { const s = document.querySelector('.tcbi-transport input'); s.value = s.max;"
-            " s.dispatchEvent(new Event('input')); return document.querySelector('.tcbi-transport output').innerText }"
+            " s.dispatchEvent(new Event('input')) }"
         )
-        assert moved
+        page.wait_for_function(
+            "(([now, end]) => end > 0 && now === end)"
+            "(document.querySelector('.tcbi-transport output').innerText.split('/').map(parseFloat))"
+        )
 
         go_to(page, "Where")
         page.get_by_text("Where the error lives").wait_for()
