@@ -33,7 +33,7 @@ from tcbi_msgs.srv import AddEffect, LoadModel
 from tcbi_sim.store import LATEST, ModelStore
 
 DIAGNOSIS_POLL_S = 0.1
-ENDING_S = 4.0  # for a diagnosis to end with the node
+ENDING_S = 6.0  # for a diagnosis to end with the node
 BUSY_S = 10.0  # before a busy retrain server is asked again
 INFERENCE_LOAD_MODEL = f"inference/{names.LOAD_MODEL}"  # the simulator serves load_model for what it simulates
 
@@ -250,6 +250,12 @@ class InferenceNode(Node):
         return GoalResponse.ACCEPT
 
     def _on_diagnose(self, handle: ServerGoalHandle) -> Diagnose.Result:
+        try:
+            return self._diagnosed(handle)
+        finally:
+            self._diagnosing = False
+
+    def _diagnosed(self, handle: ServerGoalHandle) -> Diagnose.Result:
         goal = handle.request
         bags = tuple(goal.bags) or _texts(self._folder.fitted)
         worker = Worker(
@@ -262,7 +268,6 @@ class InferenceNode(Node):
                 time.sleep(DIAGNOSIS_POLL_S)
         finally:
             worker.stop()
-            self._diagnosing = False
         if result.success:
             handle.succeed()
         elif handle.is_cancel_requested:

@@ -7,7 +7,7 @@ diagnosis.verdict, diagnosis.statement, diagnosis.ranking[0].parameters
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -38,6 +38,9 @@ from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
 CLOSE_STEPS = (0.05, 0.05, 0.03, 0.03, 0.03)  # of finite differences; a fit that has converged ends before
+RIVAL_SIZES = (0.08, 0.16, 0.3, 0.5)  # of an effect's range
+RIVAL = 1 / 2  # of what the best effect explains of a few sets: one that explains as much in its place is worth a fit
+LEAST_WORTH = 10.0  # nats: who explains less has no rivals to look for
 HOPELESS = 0.2  # of the best candidate's gain: one that gains less with coarse steps gets no fine ones
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
 Progress = Callable[[str, float], None]  # stage, share done
@@ -166,6 +169,8 @@ class _Run:
         gains = screen.held_out(data)[:, :, 0]
         chosen = self._choose(directions, gains)
         fits = self._fit_chosen(chosen, screen, data, base, nuisance)
+        rivals = self._rivals(screen, data, base, nuisance, fits)
+        fits |= self._fit_chosen(rivals, screen, data, base, nuisance, (0.7, 0.75))
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
         least = min(e.error for e in (before, *after.values()))
         if least > WELL_PREDICTED and before.error - least < MOSTLY * (before.error - 1.0):
@@ -276,9 +281,43 @@ class _Run:
             losses[u] = min(few.start_losses(few.predict(starts), np.zeros(nuisance.effect.shape[-1])))
         return sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
 
+    def _rivals(
+        self, screen: Screen, data: Targets, base: Fit, nuisance: Nuisance, fits: dict[int, tuple[Fit, Fit]]
+    ) -> dict[int, np.ndarray]:
+        """Uses that hardly show around the base fit, but nearly take the best effect's place with its base parameters.
+
+        A base fit that answered late because its servos were soft hid one kind of latency and not the other.
+
+        Returns:
+          Uses, each with the (1, P) start that explains most.
+        """
+        if not fits:
+            return {}
+        best = min((rough for rough, _ in fits.values()), key=lambda f: f.total)
+        known = best.unit[: len(base.unit)]
+        whole = Fitter(self.problem, base.model, nuisance, self.sets, self.settings.coarse)
+        few, positions = whole.on_few_sets(), whole.few_positions()
+        (without,) = few.start_losses(few.predict(known), best.nuisance)
+        worth = without - float(best.loss[positions].sum())
+        if worth < LEAST_WORTH:
+            return {}
+        explained: dict[int, tuple[float, np.ndarray]] = {}
+        for u, model in enumerate(screen.directions.models):
+            if u in fits:
+                continue
+            few = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse).on_few_sets()
+            sizes = screen.sized(data, u, RIVAL_SIZES, 1)
+            starts = np.concatenate([np.repeat(known[None], len(sizes), axis=0), sizes], axis=1)
+            losses = few.start_losses(few.predict(starts), best.nuisance)
+            i = int(np.argmin(losses))
+            if without - losses[i] > RIVAL * worth:
+                explained[u] = losses[i], starts[i][None]
+        nearest = sorted(explained, key=lambda u: explained[u][0])[: self.settings.per_effect]
+        return {u: explained[u][1] for u in nearest}
+
     def _fit_chosen(
         self,
-        chosen: Sequence[int],
+        chosen: Collection[int] | Mapping[int, np.ndarray],
         screen: Screen,
         data: Targets,
         base: Fit,
@@ -292,13 +331,16 @@ class _Run:
             self.progress(f"fitting {screen.directions.uses[u]}", begin + (end - begin) * i / len(chosen))
             fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
             starts = start_points(screen, data, u, base, fitter)
+            if isinstance(chosen, Mapping):
+                starts = np.concatenate([chosen[u], starts])
             fitted[u] = fitter, fitter.run(starts, steps=CLOSE_STEPS)
         if self.settings.escape and fitted:
             u = min(fitted, key=lambda u: fitted[u][1].total)
             fitter, rough = fitted[u]
             fitted[u] = fitter, fitter.escape(rough, len(base.unit), CLOSE_STEPS)
         gains = {u: self.base_loss - rough.total for u, (_, rough) in fitted.items()}
-        least = HOPELESS * max(gains.values(), default=0.0)
+        best = max(gains.values(), default=0.0)
+        least = min(HOPELESS * best, best)
         return {u: (rough, self._refit(rough, nuisance)) for u, (_, rough) in fitted.items() if gains[u] >= least}
 
     def _alike(self, screen: Screen, data: Targets, chosen: Sequence[int]) -> dict[str, tuple[str, ...]]:

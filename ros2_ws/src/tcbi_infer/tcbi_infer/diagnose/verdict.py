@@ -78,7 +78,7 @@ def indistinct(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
 
 
 def better(best: Evidence, ranking: Sequence[Evidence]) -> list[Evidence]:
-    """Candidates that predict unseen motions better than the best of the accepted, though less evenly."""
+    """Candidates that predict unseen motions better than the best of the accepted, though less surely."""
     return [
         e
         for e in ranking
