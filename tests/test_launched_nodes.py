@@ -1,6 +1,8 @@
 """The launcher with a real node."""
 
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -52,3 +54,20 @@ def test_the_monitor_counts_rates_and_ages(domain, peer):
     assert rates["ticks"].publishers == 1
     assert 5 < rates["ticks"].rate_hz < 40  # 20, on a machine that may be busy
     assert rates["silent"].age_s is None and rates["silent"].rate_hz == 0
+
+
+def test_a_node_that_hangs_when_it_is_told_to_end_says_where_and_ends(domain):
+    code = (
+        "import time; from rclpy.node import Node; from tcbi_contract import running\n"
+        "running.ENDING_S = 0.5\n"
+        "def hang(): print('hangs', flush=True); time.sleep(600)\n"
+        "def make(): node = Node('hanging'); node.create_timer(0.1, hang); return node\n"
+        "raise SystemExit(running.run('hanging', make))\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as node:
+        assert node.stdout is not None and node.stdout.readline() == "hangs\n"
+        node.send_signal(signal.SIGTERM)
+        _, error = node.communicate(timeout=60)
+    assert node.returncode == 1 and "in hang" in error

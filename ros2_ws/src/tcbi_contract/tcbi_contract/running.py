@@ -6,9 +6,10 @@ def main(args=None) -> int:
 rclpy's own handlers shut the context down from another thread, in the midst of what the executor does, which at times
 ends in one of rclpy's errors, or never. Here a signal only ends the spinning: the callback in hand is finished,
 then the node is destroyed and the context shut down, in this order and in one thread. Of an executor with several
-threads, a callback may go on meanwhile: the node's `destroy_node` asks it to end.
+threads, a callback may go on meanwhile: the node's `destroy_node` asks it to end. A node that hangs says where.
 """
 
+import faulthandler
 import os
 import signal
 import sys
@@ -26,6 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 from tcbi_contract.errors import TcbiError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+ENDING_S = 7.5  # what still runs so long after a signal tells on stderr where it hangs, and ends with status 1
 
 
 def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, threads: int = 1) -> int:
@@ -80,6 +82,7 @@ class Told:
     def _listen(self, heard: int) -> None:
         while os.read(heard, 1)[0] not in SIGNALS:
             pass
+        faulthandler.dump_traceback_later(ENDING_S, exit=True)
         self.to_end = True
         if self._guard is not None:
             self._guard.trigger()
