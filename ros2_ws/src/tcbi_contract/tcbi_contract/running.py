@@ -27,7 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 from tcbi_contract.errors import TcbiError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-ENDING_S = 7.5  # what still runs so long after a signal tells on stderr where it hangs, and ends with status 1
+ENDING_S = 10.0  # what still runs so long after a signal tells on stderr where it hangs, and ends with status 1
 
 
 def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, threads: int = 1) -> int:
