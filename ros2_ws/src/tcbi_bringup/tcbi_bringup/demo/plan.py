@@ -1,6 +1,6 @@
 """How much the demo records, simulates and trains: the full story, and a quick one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,7 +76,7 @@ QUICK = Plan(
     deployments=2,
     deployment_s=3.0,
     effects=BASIC_EFFECTS,
-    settings=QUICK_DIAGNOSIS,
+    settings=replace(QUICK_DIAGNOSIS, rivals=False),  # few candidates, none alike
     particles=64,
     generations=2,
     training_s=12.0,

@@ -54,6 +54,7 @@ class Settings:
     per_effect: int = 2  # sites of one effect among them
     further: int = 8  # other effects that are looked at far from the base fit, where much is left unexplained
     escape: bool = True  # the best candidate's fit, too, looks for other valleys of the loss
+    rivals: bool = True  # effects that the screening did not rank are tried in the best one's place
     least_share: float | None = None  # of the best candidate's gain in screening, that a full fit takes; None: any
     timestep: float = 0.002  # s, of the final fits
     coarse: float = 0.005  # s, of the screening and of first fits
@@ -291,7 +292,7 @@ class _Run:
         Returns:
           Uses, each with the (1, P) start that explains most.
         """
-        if not fits:
+        if not (fits and self.settings.rivals):
             return {}
         best = min((rough for rough, _ in fits.values()), key=lambda f: f.total)
         known = best.unit[: len(base.unit)]
