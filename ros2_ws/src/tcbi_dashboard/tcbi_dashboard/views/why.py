@@ -1,7 +1,6 @@
 """Why: which effect the model lacks, how sure that is, what it would change, and what to record next."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +13,9 @@ from tcbi_dashboard.live import Live
 from tcbi_dashboard.picker import HOW_TO_RECORD, Picker
 from tcbi_dashboard.session import Session
 from tcbi_dashboard.views.base import View
-from tcbi_infer.diagnose.evidence import NextMotion
+from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, NextMotion, step_label
 
-HEADLINES = {
-    "effect": "An effect is missing",
-    "cannot_tell": "An effect is missing, but which one cannot be told",
-    "nothing_missing": "Nothing missing was found",
-    "outside_library": "Something is missing that the library does not hold",
-}
-TONES = {"effect": "warn", "nothing_missing": "good"}
-LABELS = {"unfitted": "model as it was", "base": "model, parameters fitted"}
+TONES = {EFFECT: "warn", NOTHING_MISSING: "good"}
 
 
 def read(path: Path | None) -> dict[str, Any] | None:
@@ -34,13 +26,6 @@ def read(path: Path | None) -> dict[str, Any] | None:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-
-
-def headline(d: Mapping[str, Any]) -> str:
-    """No surer than the statement below it: an effect that was not accepted may be missing, no more."""
-    if d["verdict"] != "cannot_tell" or any(e["accepted"] for e in d["ranking"]):
-        return HEADLINES[d["verdict"]]
-    return "An effect may be missing" if d["effects"] else "These rollouts cannot tell"
 
 
 class WhyView(View):
@@ -104,7 +89,7 @@ class WhyView(View):
                 self._untestable(found)
 
     def _verdict(self, d: dict[str, Any]) -> None:
-        with card(headline(d)):
+        with card(d["headline"]):
             words(d["statement"], "p", f"tcbi-verdict {TONES.get(d['verdict'], '')}").mark("verdict")
             notes([*d.get("guards", ()), *d.get("claims", ())])
             if d.get("uses"):
@@ -165,7 +150,7 @@ class WhyView(View):
 
     def _ladder(self, d: dict[str, Any]) -> None:
         with card("How wrong is the model?", "half"):
-            errors = {LABELS.get(k, f"with {k}"): v for k, v in d["errors"].items() if v is not None}
+            errors = {step_label(k): v for k, v in d["errors"].items() if v is not None}
             chart(charts.ladder(errors), 90 + 44 * len(errors))
             soft(f"On motions that no fit has seen; model {d['model']}, {len(d['rollouts'])} rollouts.")
 
@@ -207,14 +192,16 @@ class WhyView(View):
                     with ui.element("div").classes("tcbi-half"):
                         words(_size(estimate), "p")
                         chart(charts.interval(estimate), 130)
-            soft("Dot: fitted value; bar: 90 % interval; cross: where the effect would vanish.")
+            crosses = any(e["null"] is not None for e in estimates)
+            soft(f"Dot: fitted value; bar: 90 % interval{'; cross: where the effect would vanish' * crosses}.")
 
     def _moments(self, d: dict[str, Any], moments: list[dict[str, Any]]) -> None:
         best = d["ranking"][0]["use"] if d["ranking"] else ""
         for moment in moments[:4]:
             with card(f"{moment['signal']} before and after", "half"):
                 chart(charts.moment(moment, best), 280)
-                soft(f"Rollout {moment['rollout']}; both were fitted to other kinds of motion than this.")
+                fitted = "this motion" if d["nothing_held_out"] else "other kinds of motion than this"
+                soft(f"Rollout {moment['rollout']}; both were fitted to {fitted}.")
 
     def _untestable(self, d: dict[str, Any]) -> None:
         shown = [s for s in d.get("detectable", ()) if s["value"] is not None]

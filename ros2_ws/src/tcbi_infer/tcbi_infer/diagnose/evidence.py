@@ -8,6 +8,12 @@ import numpy as np
 
 EFFECT, CANNOT_TELL = "effect", "cannot_tell"
 NOTHING_MISSING, OUTSIDE_LIBRARY = "nothing_missing", "outside_library"
+HEADLINES = {
+    EFFECT: "An effect is missing",
+    CANNOT_TELL: "An effect is missing, but which one cannot be told",
+    NOTHING_MISSING: "Nothing missing was found",
+    OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,6 +199,18 @@ class Diagnosis:
     detectable: tuple[DetectableSize, ...] = ()
     next_motions: tuple[NextMotion, ...] = ()
 
+    @property
+    def headline(self) -> str:
+        """The verdict in a few words, no surer than the statement: what was not accepted may be missing, no more."""
+        if self.verdict != CANNOT_TELL or any(e.accepted for e in self.ranking):
+            return HEADLINES[self.verdict]
+        return "These rollouts cannot tell" if self.nothing_held_out else "An effect may be missing"
+
+    @property
+    def nothing_held_out(self) -> bool:
+        """Whether the rollouts had one kind of motion only: the one verdict of `cannot_tell` that names nothing."""
+        return self.verdict == CANNOT_TELL and not self.effects
+
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""
         fields = {
@@ -201,7 +219,15 @@ class Diagnosis:
             if f.name not in ("moments", "ranking", "base")
         }
         ranking = [e.to_json() for e in self.ranking]
-        return _plain({**fields, "ranking": ranking, "base": self.base.to_json()})
+        return _plain({
+            "headline": self.headline, "nothing_held_out": self.nothing_held_out,
+            **fields, "ranking": ranking, "base": self.base.to_json(),
+        })  # fmt: skip
+
+
+def step_label(name: str) -> str:
+    """What a step of the error ladder is called: `unfitted`, `base`, or the uses of effects added."""
+    return {"unfitted": "model as it was", "base": "model, parameters fitted"}.get(name, f"with {name}")
 
 
 def _plain(value: Any) -> Any:

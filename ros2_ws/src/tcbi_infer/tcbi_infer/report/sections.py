@@ -6,30 +6,10 @@ from typing import Any
 from tcbi_contract.wording import with_unit
 from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose import detectable, excitation
-from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis, Evidence
+from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis, Evidence, step_label
 from tcbi_infer.report import plots
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_sim.model import Model
-
-HEADLINES = {
-    EFFECT: "An effect is missing",
-    CANNOT_TELL: "An effect is missing, but which one cannot be told",
-    NOTHING_MISSING: "Nothing missing was found",
-    OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
-}
-LABELS = {"unfitted": "model as it was", "base": "model, parameters fitted"}
-
-
-def _headline(d: Diagnosis) -> str:
-    """No surer than the statement below it: an effect that was not accepted may be missing, no more."""
-    if d.verdict != CANNOT_TELL or any(e.accepted for e in d.ranking):
-        return HEADLINES[d.verdict]
-    return "These rollouts cannot tell" if _nothing_held_out(d) else "An effect may be missing"
-
-
-def _nothing_held_out(d: Diagnosis) -> bool:
-    """Whether the rollouts had one kind of motion only: the one verdict of `cannot_tell` that names nothing."""
-    return d.verdict == CANNOT_TELL and not d.effects
 
 
 def add_ladder(
@@ -61,10 +41,10 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     d = diagnosis
     tone = {EFFECT: "warn", NOTHING_MISSING: "good"}.get(d.verdict, "neutral")
     sizes = Table(detectable.HEAD, detectable.rows(d.detectable), detectable.TITLE) if d.detectable else None
-    report.add(Section(_headline(d), verdict=d.statement, tone=tone, notes=d.claims, table=sizes, folded=True))
+    report.add(Section(d.headline, verdict=d.statement, tone=tone, notes=d.claims, table=sizes, folded=True))
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
-    add_ladder(report, [(LABELS.get(k, f"with {k}"), v) for k, v in d.errors.items()], repeated=d.floor_from_replicates)
+    add_ladder(report, [(step_label(k), v) for k, v in d.errors.items()], repeated=d.floor_from_replicates)
     if d.ranking:
         report.add(_ranking(d))
     if d.moments:
@@ -139,7 +119,7 @@ def _moments(d: Diagnosis) -> Section:
         text=[
             "Where the model without any new effect fails worst, and what the best candidate "
             f"({d.ranking[0].use}) makes of it. Both were fitted to "
-            f"{'the motion shown' if _nothing_held_out(d) else 'other kinds of motion than the one shown'}. The band "
+            f"{'the motion shown' if d.nothing_held_out else 'other kinds of motion than the one shown'}. The band "
             "is the noise floor.",
         ],
         figures=figures,
@@ -180,7 +160,7 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
         )
     report.add(Section(f"{child.version} follows {parent.version}", verdict=told, tone=tone))
     if evidence.get("errors"):
-        errors = [(LABELS.get(k, f"with {k}"), v) for k, v in evidence["errors"].items()]
+        errors = [(step_label(k), v) for k, v in evidence["errors"].items()]
         add_ladder(report, errors, repeated=evidence.get("floor_from_replicates"))
     own = [p for p in evidence.get("parameters", []) if p["name"] not in parent.names]
     before = dict(zip(parent.names, _quantiles(parent), strict=True))
