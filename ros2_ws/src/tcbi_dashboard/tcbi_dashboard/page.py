@@ -20,6 +20,7 @@ from tcbi_dashboard.views.why import WhyView
 from tcbi_dashboard.workbench import Workbench
 
 TICK_S = 0.5
+SNAPSHOT_S = 60.0  # for the browser to draw a view
 FIRST = "Compare"
 BROWSER = Path(__file__).parent / "browser"
 
@@ -95,16 +96,23 @@ class Shell:
         """Go to a view."""
         self.tabs.set_value(name)
 
-    def _save_html(self) -> None:
+    async def _save_html(self) -> None:
         """The report that the command line writes of the same, or the view itself where there is none."""
         report = self.views[self.tabs.value].report()
         if report:
             ui.download.file(report)
         else:
-            self._snapshot("html")
+            await self._snapshot("html")
 
-    def _snapshot(self, kind: str) -> None:
-        ui.run_javascript(f"tcbiSnapshot({kind!r}, {self.tabs.value!r})")
+    async def _snapshot(self, kind: str) -> None:
+        view = self.tabs.value
+        try:
+            wrong = await ui.run_javascript(f"return await tcbiSnapshot({kind!r}, {view!r})", timeout=SNAPSHOT_S)
+        except TimeoutError:
+            wrong = f"the browser took more than {SNAPSHOT_S:g} s"
+        if wrong:
+            other = {"png": "HTML", "html": "PNG"}[kind]
+            ui.notify(f"{view} could not be saved ({wrong}); save it as {other} instead.", type="negative")
 
     def _changed(self, event) -> None:
         self._see(event.value)

@@ -57,7 +57,7 @@
     save(canvas.toDataURL("image/png"), `${name}.png`);
   };
 
-  window.tcbiSnapshot = async (kind, title) => {
+  const saved = async (kind, title) => {
     const view = [...document.querySelectorAll(".tcbi-view")].find((e) => e.offsetParent !== null);
     const name = `tcbi-${title.toLowerCase()}`;
     const root = page(view, `tcbi: ${title}, ${new Date().toLocaleString()}`);
@@ -70,4 +70,7 @@
     save(address, `${name}.html`);
     setTimeout(() => URL.revokeObjectURL(address), 10_000);
   };
+
+  // "" or what went wrong
+  window.tcbiSnapshot = (kind, title) => saved(kind, title).then(() => "", String);
 })();
