@@ -36,6 +36,7 @@ STATUS_S = 3.0  # wall time for the policy node to say what is loaded
 FEEDBACK_S = 0.5  # wall time
 COMMAND_SILENCE_S = 1.0  # ROS time, five control periods
 HANDS_S = 2.0  # to discover whether somebody places the robot
+ASKED = 2  # times: the middleware drops the answer to a client that the service's end has not discovered yet
 RESETS, PAUSE_S = 4, 1.5  # a real robot may be connecting still, or have missed a reply: tried so often, so far apart
 
 
@@ -240,11 +241,12 @@ class Collector:
         timeout_s = self.node.values.service_timeout_s
         if not await Until(client.service_is_ready, timeout_s):
             raise RecordingError(f"nobody offers {what} after {timeout_s:g} s; start {who}")
-        future = client.call_async(request)
-        if not await Until(future.done, timeout_s):
-            client.remove_pending_request(future)
-            raise RecordingError(f"{what} was not answered within {timeout_s:g} s; look at the log of {who}")
-        return future.result()
+        for _ in range(ASKED):
+            future = client.call_async(request)
+            if await Until(future.done, timeout_s / ASKED):
+                return future.result()
+            client.remove_pending_request(future)  # the answer to the last request counts, for it is carried out last
+        raise RecordingError(f"{what} was not answered within {timeout_s:g} s; look at the log of {who}")
 
     async def _reset_episode(self, scenario: Scenario, model: str) -> Any:
         request = ResetEpisode.Request(
