@@ -16,6 +16,7 @@ CHECKS = (
     ("ruff format", ("ruff", "format", "--check", "--quiet")),
     ("mypy", ("mypy", "--no-error-summary")),
 )
+PARALLEL = ("-n", "logical", "--maxprocesses", "4", "--dist", "loadfile")  # each file's tests by one process
 PYTEST_USAGE = 4
 
 
@@ -37,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     if not args.arguments:
         for name, command in CHECKS:
             passed &= check(name, command, root)
-    pytest = subprocess.run([sys.executable, "-m", "pytest", *pytest_arguments(args.arguments, root)], check=False)
+    arguments = pytest_arguments(args.arguments or list(PARALLEL), root)
+    pytest = subprocess.run([sys.executable, "-m", "pytest", *arguments], check=False)
     if pytest.returncode == PYTEST_USAGE:
         return 2
     return 0 if passed and pytest.returncode == 0 else 1

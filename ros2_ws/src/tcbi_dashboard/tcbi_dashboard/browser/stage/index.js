@@ -41,7 +41,7 @@ export class Robot {
       if (body.joint >= 0) this.turning.push({ node, rest, joint: body.joint, axis: new THREE.Vector3(...body.axis) });
     }
     this.shapes = skeleton.shapes.map((shape) => {
-      const material = new THREE.MeshStandardMaterial({ color, roughness: 0.65, metalness: 0.05 });
+      const material = new THREE.MeshLambertMaterial({ color });
       if (opacity < 1) Object.assign(material, { transparent: true, opacity, depthWrite: false });
       const mesh = new THREE.Mesh(geometry(shape), material);
       mesh.position.set(...shape.position);
@@ -123,7 +123,7 @@ export class Stage {
     for (const block of blocks) {
       const mesh = new THREE.Mesh(
         new THREE.BoxGeometry(...block.size),
-        new THREE.MeshStandardMaterial({ color: "#8a929c", roughness: 0.9 }),
+        new THREE.MeshLambertMaterial({ color: "#8a929c" }),
       );
       mesh.position.set(...block.center);
       mesh.rotation.z = block.yaw;
