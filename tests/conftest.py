@@ -82,10 +82,11 @@ class Peer:
         self.executor = SingleThreadedExecutor(context=self._context)
         self.executor.add_node(self.node)
 
-    def collect(self, topic: str, kind: type, qos: QoSProfile | int) -> list[Any]:
-        """Subscribe; returns the list that messages are appended to while the peer waits."""
+    def collect(self, topic: str, kind: type, qos: QoSProfile | int, publishers: int = 0) -> list[Any]:
+        """Subscribe, and wait for so many publishers; returns the list that messages go to while the peer waits."""
         messages: list[Any] = []
-        self.node.create_subscription(kind, topic, messages.append, qos)
+        subscription = self.node.create_subscription(kind, topic, messages.append, qos)
+        self.wait_until(lambda: subscription.get_publisher_count() >= publishers, f"{publishers} on {topic}")
         return messages
 
     def publisher(self, topic: str, kind: type, qos: QoSProfile | int, subscribers: int = 1) -> Any:

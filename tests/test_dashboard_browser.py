@@ -139,7 +139,7 @@ def test_every_view_works_with_one_rollout(tmp_path, look):
             assert fits(page), view
         picture = saved(page, "PNG")
         assert picture.startswith(b"\x89PNG") and int.from_bytes(picture[16:20], "big") > 700
-        page.evaluate("HTMLCanvasElement.prototype.toDataURL = () => { throw new Error('no memory') }")
+        page.evaluate("() => { HTMLCanvasElement.prototype.toDataURL = () => { throw new Error('no memory') } }")
         page.get_by_role("button", name="save this view").click()
         page.get_by_text("Save this view as PNG").click()
         page.get_by_text("could not be saved (Error: no memory); save it as HTML instead.").wait_for()

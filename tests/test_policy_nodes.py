@@ -65,7 +65,7 @@ def test_in_lockstep_every_tick_of_a_rollout_has_its_command_also_while_policies
 ) -> None:
     sim = NodeProcess("tcbi_sim", "sim_node", parameters={"mode": "lockstep", "timestep": 0.01, "store": str(tmp_path)})
     start_graph(sim, policy_node(policy="gait:tripod", use_sim_time=True, store=str(tmp_path)))
-    commands = peer.collect(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS)
+    commands = peer.collect(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS, publishers=1)
     status = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
     zero = begin_rollout(peer, "forward", 30.0)
     peer.wait_until(lambda: len(commands) >= 20, "twenty commands")
