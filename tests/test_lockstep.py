@@ -160,6 +160,17 @@ def test_the_clock_waits_for_a_slow_policy_and_stops_at_the_end(start_graph, pee
     policy.event(RolloutEvent.END, policy.now)
 
 
+def test_a_listener_that_is_discovered_late_gets_the_sample_of_the_time_that_stands(start_graph, peer, store):
+    start_graph(sim(store=store))
+    policy = Policy(peer)
+    policy.reset(task="balance", seed=1, duration=0.4)
+    late = peer.collect(names.JOINT_STATES, JointState, messages.STREAM_QOS)
+    peer.wait_until(lambda: bool(late), "the sample")
+    assert {nanoseconds(m.header.stamp) for m in late} == {policy.start}
+    again, first = policy.raw[names.JOINT_STATES][-1], policy.raw[names.JOINT_STATES][0]
+    assert again == first
+
+
 def test_a_policy_that_died_does_not_stop_the_rollout_and_is_reported(start_graph, peer, store):
     start_graph(sim(store=store, lockstep_timeout_s=0.2))
     policy = Policy(peer)

@@ -74,6 +74,7 @@ class RecorderNode(Node):
         self.distance: float | None = None  # the operator's entry
         self.policy_id = ""  # of the policy that is loaded, as far as it is known
         self._foreign_end: bytes | None = None
+        self._newest: dict[str, bytes] = {}  # by topic
         self._listen()
         self.events = self.create_publisher(RolloutEvent, names.ROLLOUT_EVENT, messages.LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
@@ -127,6 +128,9 @@ class RecorderNode(Node):
         now = self.get_clock().now().nanoseconds
         if stamp <= 0:
             stamp = now
+        elif self._newest.get(topic) == data:
+            return  # a simulation that waits repeats its present for late listeners
+        self._newest[topic] = data
         if topic.endswith(names.JOINT_STATES):
             self.heard_joints_s = time.monotonic()
         if topic.endswith(names.JOINT_COMMANDS):

@@ -37,7 +37,7 @@ from tcbi_sim.prompt_acks import ask_for_prompt_acks
 from tcbi_sim.store import ModelStore
 
 PERIOD = round(SECOND / names.SENSOR_RATE_HZ)
-REPEAT_CLOCK_S = 0.5
+REPEAT_S = 0.5  # wall time
 LISTENERS_S = 1.0  # wall time that lockstep waits for a listener that does not take in samples
 
 
@@ -73,6 +73,8 @@ class SimNode(Node):
         self._last_stamp_s = 0.0
         self._published = 0
         self._unheard = 0  # samples published in lockstep since every listener was known to have them
+        self._present: tuple[int, Reading] | None = None  # the last sample, with its stamp in ns
+        self._listeners = 0  # that it was published to
         self._offer()
         if v.mode == "lockstep":
             self._start_lockstep()
@@ -105,7 +107,12 @@ class SimNode(Node):
         self._contacts.publish(messages.foot_contacts(stamp, reading.contact))
         if self._tracker:
             self._tracker.publish(messages.tracker_pose(stamp, reading.position, reading.orientation))
+        self._present = stamp_ns, reading
         self._published += 1
+
+    def _count_listeners(self) -> int:
+        streams = (self._joints, self._imu, self._contacts, self._tracker)
+        return sum(p.get_subscription_count() for p in streams if p is not None)
 
     def _diagnose(self, note: str = "") -> None:
         if self.count_publishers(names.JOINT_STATES) > 1:
@@ -154,6 +161,7 @@ class SimNode(Node):
         assert self.clock is not None
         start = self.clock.now
         self._wait_for_listeners()
+        self._listeners = self._count_listeners()
         for k, reading in enumerate(self.live.advance(WINDOW // PERIOD), start=1):
             self._publish(start + k * PERIOD, reading)
         self._unheard += WINDOW // PERIOD
@@ -178,8 +186,16 @@ class SimNode(Node):
             self.clock.skip()
             self._run_window()
             self._diagnose(f"no command within {self.values.lockstep_timeout_s} s of wall time; the last one is held")
-        elif time.monotonic() - self._clock_told > REPEAT_CLOCK_S:
-            self._publish_clock()
+        elif time.monotonic() - self._clock_told > REPEAT_S:
+            self._repeat()
+
+    def _repeat(self) -> None:
+        """The present once more, for listeners discovered since: a policy without the first sample never acts."""
+        listeners = self._count_listeners()
+        if self._present and listeners > self._listeners:
+            self._publish(*self._present)
+        self._listeners = listeners
+        self._publish_clock()
 
     # -- callbacks ------------------------------------------------------------------------------------------------
 
@@ -228,6 +244,7 @@ class SimNode(Node):
             stamp = self.clock.reset(duration, time.monotonic())
         else:
             stamp = self.pacer.restart(time.monotonic_ns(), self._ros_now())
+        self._listeners = self._count_listeners()
         self._publish(stamp, reading)
         if self.clock:
             self._publish_clock()
