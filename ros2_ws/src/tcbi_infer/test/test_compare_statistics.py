@@ -91,8 +91,20 @@ def test_without_replicates_the_floor_comes_from_fast_changes_and_says_so():
     layout = Layout.of([recording()])
     residual = 3 * np.sin(TIME)[None, :, None] + np.random.default_rng(0).normal(0, 0.2, (1, 250, 18))
     floor = noise_floor(layout, residual, residual, [Replicates((0,), 0)])
-    assert not floor.from_replicates and "No commands were repeated" in floor.statement
+    assert not floor.from_replicates and "estimated from fast changes" in floor.statement
     assert np.mean(from_fast_changes(residual)) == pytest.approx(0.2, rel=0.1)
+
+
+def test_a_simulation_that_repeats_itself_to_the_last_bit_makes_no_floor_and_is_told():
+    layout = Layout.of([recording()])
+    measured = np.random.default_rng(0).normal(0, 0.2, (1, 250, 18)).repeat(3, axis=0)
+    floor = noise_floor(layout, measured, measured, [Replicates((0, 1, 2), 0)])
+    assert not floor.from_replicates and floor.values == pytest.approx(0.2, rel=0.25)
+    measured[2] += np.random.default_rng(1).normal(0, 0.2, (250, 18))
+    floor = noise_floor(layout, measured, measured, [Replicates((0, 1, 2), 0)])
+    assert floor.from_replicates and floor.values == pytest.approx(0.2 / np.sqrt(2), rel=0.25)
+    (finding,) = guard([recording("a"), recording("b"), recording("c", gain=0.9)])
+    assert finding.startswith("b is a again to the last bit: ")
 
 
 def test_autocorrelation_time_of_a_first_order_process_is_the_textbook_value():
@@ -117,7 +129,7 @@ def test_a_sound_recording_raises_no_finding():
 def test_what_the_reader_left_out_of_a_bag_is_told_before_any_figure():
     cut = dataclasses.replace(recording(), rollout_id="cut", notes=("no imu/data: no attitude is compared",))
     assert guard([cut]) == ["no imu/data: no attitude is compared."]
-    assert guard([recording(), cut]) == ["no imu/data: no attitude is compared (cut)."]
+    assert guard([recording(gain=0.96), cut]) == ["no imu/data: no attitude is compared (cut)."]
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,25 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
             f" and {len(rollouts) - 3} more" if len(rollouts) not in (len(measurements),) and len(rollouts) > 3 else ""
         )
         sentences.append(f"{finding} ({who}{more})." if len(measurements) > 1 else f"{finding}.")
-    return sentences
+    return sentences + _copies(measurements)
+
+
+def _copies(measurements: Sequence[Measurement]) -> list[str]:
+    """Recordings that agree with another to the last bit."""
+    first: dict[bytes, str] = {}
+    copies = [
+        (m.rollout_id, first[key])
+        for m in measurements
+        if m.joint_position.size and first.setdefault(key := m.joint_position.tobytes(), m.rollout_id) != m.rollout_id
+    ]
+    if not copies:
+        return []
+    one, other = copies[0]
+    more = f", and so are {len(copies) - 1} more" if len(copies) > 1 else ""
+    return [
+        f"{one} is {other} again to the last bit{more}: a simulation that repeats itself does not show how much a "
+        "robot differs from itself, so such repeats count for no noise floor."
+    ]
 
 
 def check_recording(m: Measurement, following: Following | None = None) -> list[str]:

@@ -33,8 +33,9 @@ class NoiseFloor:
         if self.from_replicates:
             return "The noise floor is what the robot differed from itself when it repeated the same commands."
         return (
-            "No commands were repeated, so the noise floor is estimated from fast changes of the residual; slow "
-            "differences between runs are missed, and the ratios may look too large. Recording each motion twice helps."
+            "No two recordings of the same commands differ, so the noise floor is estimated from fast changes of the "
+            "residual; slow differences between runs are missed, and the ratios may look too large. Recording each "
+            "motion twice helps."
         )
 
 
@@ -52,13 +53,13 @@ def noise_floor(
     squares, freedom = np.zeros(measured.shape[-1]), np.zeros(measured.shape[-1])
     kept = layout.kept(measured.shape[1])
     for group in replicates:
-        if len(group.members) < 2:
+        values = distinct(measured[list(group.members)])
+        if len(values) < 2:
             continue
-        values = measured[list(group.members)]
         spread = np.where(kept, values - values.mean(axis=0), np.nan)
         full = np.isfinite(spread).all(axis=0)
         squares += np.nansum(np.where(full, spread, 0.0) ** 2, axis=(0, 1))
-        freedom += (len(group.members) - 1) * full.sum(axis=0)
+        freedom += (len(values) - 1) * full.sum(axis=0)
     if np.any(freedom > 0):
         with np.errstate(invalid="ignore", divide="ignore"):
             values = np.sqrt(squares / freedom)
@@ -67,6 +68,15 @@ def noise_floor(
         estimated = tuple(int(i) for i in np.nonzero(~known)[0])
         return NoiseFloor(np.fmax(np.where(known, values, fallback), layout.floor()), True, estimated)
     return NoiseFloor(np.fmax(from_fast_changes(residual), layout.floor()), False)
+
+
+def distinct(values: np.ndarray) -> np.ndarray:
+    """Of (R, ...) recordings those that are no copy, to the last bit, of one before: a simulation repeats itself."""
+    kept: list[int] = []
+    for r in range(len(values)):
+        if not any(np.array_equal(values[r], values[k], equal_nan=True) for k in kept):
+            kept.append(r)
+    return values[kept]
 
 
 def from_fast_changes(residual: np.ndarray) -> np.ndarray:
