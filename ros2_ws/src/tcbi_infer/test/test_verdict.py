@@ -30,13 +30,13 @@ def evidence(use: str, gains=GAINS, after: float = 1.5, before: float = 6.0, cou
     return dataclasses.replace(found, **changes)
 
 
-def ruled(*found: Evidence, base_error: float = 6.0, kinds: int = 6):
+def ruled(*found: Evidence, base_error: float = 6.0, kinds: int = 6, unfitted: float = 28.0):
     """The ruling on candidates after they have been tried against a threshold of 3 standard errors."""
     judged = []
     for e in found:
-        accepted, reason = accept(e, 3.0)
+        accepted, reason = accept(e, 3.0, unfitted)
         judged.append(dataclasses.replace(e, accepted=accepted, reason=reason))
-    return rule(ranked(judged), base_error, kinds)
+    return rule(ranked(judged), base_error, kinds, unfitted)
 
 
 def test_the_only_candidate_that_passes_is_named():
@@ -57,6 +57,13 @@ def test_the_only_candidate_that_passes_is_named():
 def test_a_candidate_that_fails_one_requirement_is_not_named(fault):
     found = evidence("backlash", **{"before": 2.0, "after": 1.8} | fault)
     assert ruled(found, base_error=2.0).verdict == NOTHING_MISSING
+
+
+def test_an_effect_is_not_named_where_the_model_as_it_was_predicts_better():
+    ruling = ruled(evidence("backlash", after=3.8, before=11.7), base_error=11.7, unfitted=2.5)
+    assert ruling.verdict == NOTHING_MISSING
+    assert "the model as it was errs by 2.5 times the noise floor, refitted by 11.7" in ruling.statement
+    assert ruled(evidence("backlash", after=3.8, before=11.7), base_error=11.7, unfitted=3.75).verdict == EFFECT
 
 
 def test_candidates_whose_gains_are_alike_are_both_named_as_possible():

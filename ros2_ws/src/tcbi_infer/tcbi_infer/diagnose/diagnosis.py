@@ -12,7 +12,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 
 from tcbi_contract.wording import counted
-from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
@@ -161,7 +160,7 @@ class _Run:
             self.settings.coarse,
             self._screened(),
         )
-        judge = Judge(self.problem, self.split, self.floor, nuisance, self.settings.timestep)
+        judge = Judge(self.model, self.problem, self.split, self.floor, nuisance, self.settings.timestep)
         before = judge.judge(base)
         if not directions.uses:
             return self._conclude(judge, before, self._drift(coarse, base), [], {}, Null.of_no_search(), directions)
@@ -195,7 +194,7 @@ class _Run:
             evidence.append(judge.evidence(use, after[u], before, self._drift(rough, fine)))
         judged = []
         for e in evidence:
-            accepted, reason = accept(e, null.threshold)
+            accepted, reason = accept(e, null.threshold, judge.unfitted)
             judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
         background = Background.of(null, min(e.error for e in (before, *after.values())), leftover)
         detectable = detectable_sizes(self.problem, screen, background)
@@ -371,9 +370,8 @@ class _Run:
     ) -> Diagnosis:
         """Rule, and put together everything that the verdict rests on."""
         kinds, sealed = len(self.split.folds), judge.sealed
-        ruling = rule(ranking, judge.held_out_error(before), kinds)
-        unfitted = compare(self.model, sealed or list(self.replay.measurements), particles=0).error_over_floor
-        errors = {"unfitted": unfitted, "base": before.error}
+        ruling = rule(ranking, judge.held_out_error(before), kinds, judge.unfitted)
+        errors = {"unfitted": judge.unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
             errors[best.use] = best.error_after

@@ -1,6 +1,6 @@
 """What a fit is worth: its error on motions that it has not seen, its intervals, its gain over the base model.
 
-judge = Judge(problem, split, floor, nuisance, timestep)
+judge = Judge(model, problem, split, floor, nuisance, timestep)
 before, after = judge.judge(base), judge.judge(fit)
 judge.evidence("backlash", after, before, drift)
 """
@@ -21,6 +21,7 @@ from tcbi_infer.diagnose.fit import Fit, Nuisance
 from tcbi_infer.diagnose.heldout import HeldOut, fold_indices, held_out, intervals
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,13 +34,27 @@ class Judged:
 
 
 class Judge:
-    """Judges fits of one problem, all in the same way."""
+    """Judges fits of one problem, all in the same way.
 
-    def __init__(self, problem: Problem, split: Split, floor: NoiseFloor, nuisance: Nuisance, timestep: float) -> None:
+    Attributes:
+      unfitted: error over the floor of the model as it was, on the sealed motions, or on all where none are sealed.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        problem: Problem,
+        split: Split,
+        floor: NoiseFloor,
+        nuisance: Nuisance,
+        timestep: float,
+    ) -> None:
         self.problem, self.replay, self.split, self.floor = problem, problem.replay, split, floor
         self.nuisance, self.timestep = nuisance, timestep
         self.sets = np.array(split.open, int)
         self.sizes = np.array([len(fold) for fold in fold_indices(problem, self.sets)])
+        unseen = list(split.sealed) or list(self.sets)
+        self.unfitted = self._error(self.replay.predict(model, model.mean()[None], unseen, timestep)[0], unseen)
 
     @property
     def sealed(self) -> list[Measurement]:

@@ -27,8 +27,14 @@ class Ruling:
     statement: str
 
 
-def accept(evidence: Evidence, threshold: float) -> tuple[bool, str]:
-    """Whether a candidate passes every requirement, and if not, which it failed."""
+def accept(evidence: Evidence, threshold: float, unfitted: float) -> tuple[bool, str]:
+    """Whether a candidate passes every requirement, and if not, which it failed.
+
+    Args:
+      evidence: for it.
+      threshold: of its statistic.
+      unfitted: error over the floor of the model as it was, on the motions of `error_after`.
+    """
     if not evidence.refined:
         return False, "its first estimate was too low for a full fit"
     if not evidence.statistic > threshold:
@@ -44,6 +50,8 @@ def accept(evidence: Evidence, threshold: float) -> tuple[bool, str]:
     if not _lowered(evidence.error_before, evidence.error_after):
         contradicted = evidence.held_out and _lowered(*evidence.held_out)
         return False, CONTRADICTED if contradicted else "it hardly lowers the error"
+    if _lowered(evidence.error_after, unfitted):
+        return False, f"the model as it was, not fitted at all, errs less ({unfitted:.1f} times the noise floor)"
     return True, ""
 
 
@@ -105,13 +113,14 @@ def ranked(judged: Sequence[Evidence]) -> list[Evidence]:
     return sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
 
 
-def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
+def rule(ranking: Sequence[Evidence], base_error: float, kinds: int, unfitted: float) -> Ruling:
     """The verdict.
 
     Args:
       ranking: candidates, best first, acceptance decided.
       base_error: held-out error over the floor of the refitted base model.
       kinds: of motion.
+      unfitted: error over the floor of the model as it was.
     """
     accepted = [e for e in ranking if e.accepted]
     if kinds < 2:
@@ -123,7 +132,7 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
             "of motion or more, each twice.",
         )
     if not accepted:
-        return _none_accepted(ranking, base_error, kinds)
+        return _none_accepted(ranking, base_error, kinds, unfitted)
     best = accepted[0]
     left, explained = best.error_after, _explained(best)
     if left > WELL_PREDICTED and explained < EXPLAINED:
@@ -152,13 +161,18 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
     )
 
 
-def _explained(e: Evidence) -> float:
+def _explained(e: Evidence, unfitted: float = np.inf) -> float:
     """The share of the error beyond the floor that a candidate explains; 0 where it was not fitted."""
-    return (e.error_before - e.error_after) / max(e.error_before - 1.0, 1e-6) if e.refined else 0.0
+    before = min(e.error_before, unfitted)
+    return (before - e.error_after) / max(before - 1.0, 1e-6) if e.refined else 0.0
 
 
-def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int) -> Ruling:
+def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int, unfitted: float) -> Ruling:
     best = ranking[0] if ranking else None
+    error = f"the refitted model errs by {base_error:.1f} times the noise floor"
+    if _lowered(base_error, unfitted):
+        error = f"the model as it was errs by {unfitted:.1f} times the noise floor, refitted by {base_error:.1f}"
+        base_error = unfitted
     hint = f" The best candidate was {best.use}: {best.reason}." if best else ""
     if best and best.reason == CONTRADICTED:
         return Ruling(
@@ -167,24 +181,20 @@ def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int) -
             f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more motions.",
         )
     much = EXPLAINED if base_error > WELL_PREDICTED else MOSTLY
-    if best and base_error > NOTICEABLE and _explained(best) >= much:
+    if best and base_error > NOTICEABLE and _explained(best, unfitted) >= much:
         return Ruling(
             CANNOT_TELL,
             (best.use,),
-            f"Something may be missing: the refitted model errs by {base_error:.1f} times the noise floor. {best.use} "
-            f"explains {100 * _explained(best):.0f} % of the excess, but is not certain: {best.reason}.",
+            f"Something may be missing: {error}. {best.use} explains {100 * _explained(best, unfitted):.0f} % of the "
+            f"excess, but is not certain: {best.reason}.",
         )
     if base_error > WELL_PREDICTED:
         return Ruling(
-            OUTSIDE_LIBRARY,
-            (),
-            f"The refitted model errs by {base_error:.1f} times the noise floor, and no effect of the library "
-            f"explains it.{hint}",
+            OUTSIDE_LIBRARY, (), f"{error[0].upper()}{error[1:]}, and no effect of the library explains it.{hint}"
         )
     few = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion small effects cannot be seen."
     return Ruling(
         NOTHING_MISSING,
         (),
-        "These rollouts show nothing missing: with its parameters refitted the model errs by "
-        f"{base_error:.1f} times the noise floor.{hint}{few}",
+        f"These rollouts show nothing missing: {error}.{hint}{few}",
     )
