@@ -1,6 +1,7 @@
 """`./tcbi test`: linter, type checker and all tests; or the tests of one path."""
 
 import argparse
+import itertools
 import os
 import subprocess
 import sys
@@ -34,11 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """All checks, then pytest, whose summary comes last; 0 if all pass."""
     root = checkout()
+    given = list(itertools.dropwhile("--".__eq__, args.arguments))
     passed = True
-    if not args.arguments:
+    if not given:
         for name, command in CHECKS:
             passed &= check(name, command, root)
-    arguments = pytest_arguments(args.arguments or list(PARALLEL), root)
+    arguments = pytest_arguments(given or list(PARALLEL), root)
     pytest = subprocess.run([sys.executable, "-m", "pytest", *arguments], check=False)
     if pytest.returncode == PYTEST_USAGE:
         return 2
@@ -60,7 +62,6 @@ def source_folders(root: Path) -> list[str]:
 
 def pytest_arguments(given: list[str], root: Path) -> list[str]:
     """The arguments as given, with the whole checkout where they name no path."""
-    given = given[1:] if given[:1] == ["--"] else given
     if any(Path(word.partition("::")[0]).exists() for word in given if not word.startswith("-")):
         return given
     return [*given, f"--rootdir={root}", str(root / "ros2_ws" / "src"), str(root / "tests")]

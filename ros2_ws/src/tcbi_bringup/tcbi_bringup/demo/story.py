@@ -20,7 +20,7 @@ from tcbi_bringup.errors import DemoError
 from tcbi_contract.wording import with_unit
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
-from tcbi_infer.diagnose.adopt import adopt
+from tcbi_infer.diagnose.adopt import adopt, remember
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
 from tcbi_infer.tcbi.driver import infer
@@ -257,6 +257,7 @@ class Story:
                 progress=lambda stage, share: advance(done=share, note=stage),
             )
         self.out.diagnoses.append(diagnosis)
+        remember(diagnosis, self.out.store.folder("runs"))
         self.say(diagnosis.statement)
         return diagnosis
 
