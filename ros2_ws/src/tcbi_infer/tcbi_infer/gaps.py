@@ -64,7 +64,7 @@ def command_gaps(commands: Commands, end: float, periods: float = COMMAND_PERIOD
 
 
 def _longer(time: np.ndarray, limit: float) -> list[Gap]:
-    return [Gap(float(time[k]), float(time[k + 1])) for k in np.flatnonzero(np.diff(time) > limit)]
+    return [Gap(float(time[k]), float(time[k + 1])) for k in np.flatnonzero(np.diff(time) > limit).tolist()]
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,7 @@ def read_particles(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Particles (N, P) and log-weights (N,) of a saved model."""
     import xarray as xr  # takes a second, which nodes on a built-in model need not wait for
 
-    with xr.open_dataset(path, group="particles") as particles:
+    with xr.open_dataset(path, group="particles", engine="h5netcdf") as particles:  # netCDF4 is not safe in threads
         return particles["value"].values, particles["log_weight"].values
 
 

@@ -1,6 +1,8 @@
 """Model versions survive the disk, and damaged ones are refused in words."""
 
 import json
+import subprocess
+import sys
 
 import mujoco
 import numpy as np
@@ -29,6 +31,21 @@ def test_a_saved_version_comes_back_equal(store):
     assert (loaded.version, loaded.parent, loaded.effects) == ("hexapod-v1", "hexapod-v0", ("weak_leg:lm",))
     np.testing.assert_array_equal(loaded.particles, saved.particles)
     np.testing.assert_array_equal(loaded.log_weights, saved.log_weights)
+
+
+THREADS = """
+import concurrent.futures, sys
+from tcbi_sim.store import ModelStore
+store = ModelStore(sys.argv[1])
+with concurrent.futures.ThreadPoolExecutor(4) as pool:
+    read = list(pool.map(lambda _: store.load("hexapod-v1", "hexapod").particles.shape, range(200)))
+assert set(read) == {read[0]} and "netCDF4" not in sys.modules
+"""
+
+
+def test_several_threads_read_versions_at_once(store):
+    store.save(base_model("hexapod").with_effect("backlash"))
+    subprocess.run([sys.executable, "-c", THREADS, str(store.root)], check=True)
 
 
 def test_versions_are_numbered_by_rig_and_remembered_by_parent(store):

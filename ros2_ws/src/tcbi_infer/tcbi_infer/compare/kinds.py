@@ -74,7 +74,7 @@ def kind_of(error: np.ndarray, predicted: np.ndarray, velocity: np.ndarray, aske
         GAIN: predicted - middle,
     }
     total = float(np.sum(error**2))
-    best = Kind(SCATTER, float(np.sqrt(total / max(here.sum(), 1))), True, 0.0)
+    best = Kind(SCATTER, float(np.sqrt(total / max(int(here.sum()), 1))), True, 0.0)
     for name, shape in shapes.items():
         x = np.where(here, shape, 0.0)
         own, size = np.sum(error * x, axis=1), np.sum(x**2, axis=1)

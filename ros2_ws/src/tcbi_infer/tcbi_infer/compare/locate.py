@@ -141,12 +141,12 @@ class _Joints:
                 left[told] = 0.0
 
     def _scores(self, left: np.ndarray, total: float) -> Iterator[tuple[tuple[str, str], float]]:
-        samples, rest = self.valid.sum(), left.sum() / total
+        samples, rest = int(self.valid.sum()), float(left.sum() / total)
         for phase, mask in self.masks.items():
             here = np.where(mask, left, 0.0).sum(axis=(0, 1))
             for label, members in self.cells.items():
                 index = list(members)
-                count = self.count[phase][index].sum()
+                count = int(self.count[phase][index].sum())
                 if (label or phase) and FEWEST <= count <= samples - FEWEST:
                     yield (label, phase), float(here[index].sum() / total - count / samples * rest)
 

@@ -241,7 +241,7 @@ class _Run:
     def _choose(self, directions: Directions, gains: np.ndarray) -> list[int]:
         """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
         mean = gains.mean(axis=0)
-        least = -np.inf if self.settings.least_share is None else self.settings.least_share * mean.max()
+        least = -np.inf if self.settings.least_share is None else self.settings.least_share * float(np.max(mean))
         order = [u for u in np.argsort(-mean) if mean[u] >= least]
         chosen: list[int] = []
         per_effect: dict[str, int] = {}

@@ -96,7 +96,7 @@ def shared_error(residual: np.ndarray) -> float:
     if used.sum() < 2:
         return 1.0
     values = np.linalg.eigvalsh(np.corrcoef(flat[:, used].T))
-    return float((values**2).sum() / values.sum())
+    return float((values**2).sum()) / float(values.sum())
 
 
 def imitated(square: float, misfit: float) -> float:
