@@ -109,7 +109,7 @@ def test_a_killed_recorder_loses_at_most_the_last_second(start_graph, peer, tmp_
     graph: Graph = start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
     seen = peer.collect(names.JOINT_STATES, JointState, messages.STREAM_QOS)
     begun = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
-    collection = Collection(peer, task="balance", number=1, seed=1)
+    collection = Collection(peer, task="balance", number=1, seed=1, duration_s=60.0)
     peer.wait_until(lambda: bool(begun), "BEGIN")
     begin = messages.seconds(begun[0].header.stamp)
     peer.wait_until(lambda: bool(seen) and messages.seconds(seen[-1].header.stamp) > begin + 3.0, "3 s of the rollout")
