@@ -60,7 +60,8 @@ def _compare(store: Path, bags: list[Path]) -> None:
     from tcbi_dashboard.task import COMPARE, MODULE, Task
 
     task = Task(COMPARE, str(store), "hexapod-v0", tuple(str(b.absolute()) for b in bags))
-    subprocess.run([sys.executable, "-m", MODULE], input=task.to_json() + "\n", text=True, check=True)
+    line = task.to_json() + "\n"
+    subprocess.run([sys.executable, "-m", MODULE], input=line, stdout=subprocess.DEVNULL, text=True, check=True)
 
 
 def _measure(server: Server, playwright, minutes: float, slider: bool) -> list[dict[str, Any]]:
