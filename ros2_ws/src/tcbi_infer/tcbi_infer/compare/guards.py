@@ -46,11 +46,14 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
 def _copies(measurements: Sequence[Measurement]) -> list[str]:
     """Recordings that agree with another to the last bit."""
     first: dict[bytes, str] = {}
-    copies = [
-        (m.rollout_id, first[key])
-        for m in measurements
-        if m.joint_position.size and first.setdefault(key := m.joint_position.tobytes(), m.rollout_id) != m.rollout_id
-    ]
+    copies = []
+    for m in measurements:
+        sensors = (m.joint_position, m.attitude, m.angular_velocity, m.linear_acceleration, m.position)
+        data = b"".join(values.tobytes() for values in sensors if values is not None)
+        if data in first:
+            copies.append((m.rollout_id, first[data]))
+        elif data:
+            first[data] = m.rollout_id
     if not copies:
         return []
     one, other = copies[0]
