@@ -160,9 +160,16 @@ def test_five_hundred_rollouts_are_listed_compared_and_chosen_from(tmp_path, loo
         page.get_by_placeholder("filter").fill("motion:249")
         page.get_by_text("swing249b").wait_for()
         page.get_by_role("button", name="None").click()
+        page.get_by_role("button", name="Use 0 rollouts").wait_for()
         page.get_by_role("row", name="swing249b").get_by_role("checkbox").click()
-        page.get_by_role("button", name="Use these").click()
+        page.get_by_role("button", name="Use 1 rollout").click()
         page.get_by_text("1 of 500 rollouts").first.wait_for()
+        page.get_by_role("button", name="Choose rollouts").click()
+        page.get_by_placeholder("filter").fill("motion:249")
+        page.get_by_text("swing249a").wait_for()
+        page.get_by_role("button", name="All").click()
+        page.get_by_role("button", name="Use 2 rollouts").click()
+        page.get_by_text("2 of 500 rollouts").first.wait_for()
 
 
 def test_two_browsers_see_the_same_job_and_either_may_cancel_it(tmp_path, look):

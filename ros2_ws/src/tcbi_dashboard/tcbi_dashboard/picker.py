@@ -80,29 +80,46 @@ class Picker:
                 .props("flat dense")
                 .style("width: 100%; max-height: 60vh")
             )
+            with ui.element("div").classes("tcbi-row"):
+                use = ui.button(on_click=lambda: self._use(dialog, grid))
+                ui.button("Cancel", on_click=dialog.close).props("flat")
+
+            def count() -> None:
+                chosen = len(usable(grid.selected))
+                use.set_text(f"Use {chosen} rollout{'s' * (chosen != 1)}")
+
+            def select(which: list[dict]) -> None:
+                grid.selected = which
+                grid.update()
+                count()
+
+            grid.on_select(count)
             with buttons:
                 narrow = ui.input(placeholder="filter, e.g. gait:steps").props("dense outlined clearable")
-                ui.button("All", on_click=lambda: self._select(grid, rows)).props("flat")
-                ui.button("Newest 20", on_click=lambda: self._select(grid, rows[:20])).props("flat")
-                ui.button("None", on_click=lambda: self._select(grid, [])).props("flat")
-            grid.selected = [r for r in rows if r["path"] in chosen]
+                ui.button("All", on_click=lambda: select(matching(rows, narrow.value))).props("flat")
+                ui.button("Newest 20", on_click=lambda: select(matching(rows, narrow.value)[:20])).props("flat")
+                ui.button("None", on_click=lambda: select([])).props("flat")
             narrow.bind_value_to(grid, "filter", forward=lambda v: v or "")
-            with ui.element("div").classes("tcbi-row"):
-                ui.button("Use these", on_click=lambda: self._use(dialog, grid))
-                ui.button("Cancel", on_click=dialog.close).props("flat")
+            select([r for r in rows if r["path"] in chosen])
         dialog.on("hide", dialog.delete)
         dialog.open()
 
-    @staticmethod
-    def _select(grid: ui.table, rows: list[dict]) -> None:
-        grid.selected = list(rows)
-        grid.update()
-
     def _use(self, dialog: ui.dialog, grid: ui.table) -> None:
-        self.session.chosen = {r["path"] for r in grid.selected if not r["problem"]}
+        self.session.chosen = {r["path"] for r in usable(grid.selected)}
         dialog.close()
         self.refresh()
         self.changed()
+
+
+def usable(rows: list[dict]) -> list[dict]:
+    """The lines whose rollouts can be read."""
+    return [r for r in rows if not r["problem"]]
+
+
+def matching(rows: list[dict], text: str | None) -> list[dict]:
+    """The lines that the filter shows: those with `text` in any column, in upper or lower case."""
+    wanted = (text or "").lower()
+    return [r for r in rows if any(wanted in str(r[column]).lower() for column in COLUMNS)]
 
 
 def row(entry: Glance) -> dict:
