@@ -89,7 +89,7 @@ class WhyView(View):
                 self._untestable(found)
 
     def _verdict(self, d: dict[str, Any]) -> None:
-        with card(d["headline"]):
+        with card(d.get("headline", "Diagnosis")):
             words(d["statement"], "p", f"tcbi-verdict {TONES.get(d['verdict'], '')}").mark("verdict")
             notes([*d.get("guards", ()), *d.get("claims", ())])
             if d.get("uses"):
