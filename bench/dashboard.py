@@ -24,6 +24,7 @@ from tcbi_bringup.commands.bench import figure
 from tests.dashboard_cases import BROWSERS, SOFTWARE_GL, Server, bench_rollouts, record
 
 FIRST_PAGES = 5
+VIEWS = ("Live", "Where", "Why", "Add", "Reports", "Compare")
 SLIDER = """async () => {
   const slider = document.querySelector('.tcbi-transport input'), player = document.querySelector('.tcbi-player');
   const before = player.frames(), began = performance.now();
@@ -86,13 +87,13 @@ def _measure(server: Server, playwright, minutes: float, slider: bool) -> list[d
     if slider:
         page.wait_for_function("Number(document.querySelector('.tcbi-transport input')?.max) > 10")
         figures.append(figure("slider", page.evaluate(SLIDER), "frames/s", least=20.0))
-    for view in ("Live", "Where", "Why", "Add", "Reports", "Compare"):
-        page.get_by_role("tab", name=view, exact=True).click()
-        page.wait_for_timeout(2000)
+    for view in VIEWS:
+        _look_at(page, view, 2.0)
     memory = [process.memory_info().rss / 1e6]
     ends = time.monotonic() + 60 * minutes
     while time.monotonic() < ends:
-        page.wait_for_timeout(20_000)
+        for view in VIEWS:
+            _look_at(page, view, 5.0)
         page.reload()
         memory.append(process.memory_info().rss / 1e6)
     browser.close()
@@ -101,7 +102,13 @@ def _measure(server: Server, playwright, minutes: float, slider: bool) -> list[d
         figure("memory after all views", memory[0], "MB", most=300.0),
         figure("memory at the end", memory[-1], "MB", most=300.0),
         figure("memory at most", max(memory), "MB", most=300.0),
+        figure("growth over the second half", memory[-1] - memory[len(memory) // 2], "MB"),
     ]
+
+
+def _look_at(page, view: str, seconds: float) -> None:
+    page.get_by_role("tab", name=view, exact=True).click()
+    page.wait_for_timeout(1000 * seconds)
 
 
 if __name__ == "__main__":
