@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tcbi_infer.diagnose import diagnose
-from tcbi_infer.diagnose.diagnosis import QUICK
+from tcbi_infer.diagnose.settings import QUICK
 from tcbi_infer.importer import logs_in, read_rollouts
 
 BENCH = Path(__file__).resolve().parents[1] / "bench" / "real_data.py"

@@ -75,7 +75,7 @@ def run_diagnose(task: Task, emit: Emit) -> None:
     from tcbi_dashboard import pack
     from tcbi_infer.diagnose import diagnose
     from tcbi_infer.diagnose.adopt import remember
-    from tcbi_infer.diagnose.diagnosis import QUICK, Settings
+    from tcbi_infer.diagnose.settings import QUICK, Settings
     from tcbi_infer.report import Report, add_diagnosis
 
     watch, store = Watch(emit), ModelStore(task.store)

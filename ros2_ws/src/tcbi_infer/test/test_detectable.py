@@ -9,11 +9,11 @@ from bench_recordings import BASE, record
 
 from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose.detectable import HEAD, robust_gain, rows
-from tcbi_infer.diagnose.diagnosis import QUICK
 from tcbi_infer.diagnose.evidence import DetectableSize, Diagnosis
 from tcbi_infer.diagnose.false_alarms import false_alarms
 from tcbi_infer.diagnose.null import Null
 from tcbi_infer.diagnose.screen import Targets
+from tcbi_infer.diagnose.settings import QUICK
 from tcbi_sim.effects import library
 from tcbi_sim.model import base_model
 

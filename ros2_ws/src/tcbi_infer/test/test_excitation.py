@@ -8,9 +8,9 @@ from bench_recordings import BASE, record
 
 from tcbi_contract.names import JOINT_LIMIT, JOINTS
 from tcbi_infer.diagnose import Diagnosis, diagnose
-from tcbi_infer.diagnose.diagnosis import QUICK
 from tcbi_infer.diagnose.excitation import TELLING, advice
 from tcbi_infer.diagnose.motions import ready_motions, standard_motions
+from tcbi_infer.diagnose.settings import QUICK
 from tcbi_infer.errors import InferError
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import base_model

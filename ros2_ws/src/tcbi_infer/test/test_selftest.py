@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from bench_recordings import BASE, record
 
-from tcbi_infer.diagnose.diagnosis import QUICK
 from tcbi_infer.diagnose.evidence import Diagnosis
 from tcbi_infer.diagnose.motions import standard_motions
+from tcbi_infer.diagnose.settings import QUICK
 from tcbi_infer.errors import InferError
 from tcbi_infer.selftest import Bench, Limits, Robot, robots, summarise, trials
 from tcbi_infer.selftest.robot import other_solver

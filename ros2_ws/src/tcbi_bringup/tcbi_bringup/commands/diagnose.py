@@ -47,7 +47,8 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.diagnose import diagnose
     from tcbi_infer.diagnose.adopt import remember
-    from tcbi_infer.diagnose.diagnosis import QUICK, Settings, find_candidates
+    from tcbi_infer.diagnose.diagnosis import find_candidates
+    from tcbi_infer.diagnose.settings import QUICK, Settings
     from tcbi_infer.report import Report, add_diagnosis
     from tcbi_sim.store import ModelStore
 

@@ -92,8 +92,9 @@ def run(args: argparse.Namespace) -> int:
 def _plan(args: argparse.Namespace) -> tuple["Bench", list["Robot"]]:
     """What is tried, and on which robots."""
     from tcbi_infer.bags.reader import read_measurements
-    from tcbi_infer.diagnose.diagnosis import QUICK, Settings, find_candidates, tried
+    from tcbi_infer.diagnose.diagnosis import find_candidates, tried
     from tcbi_infer.diagnose.motions import standard_motions
+    from tcbi_infer.diagnose.settings import QUICK, Settings
     from tcbi_infer.selftest import STRENGTHS as SIZES
     from tcbi_infer.selftest import Bench, robots
     from tcbi_infer.selftest.trial import motions_of

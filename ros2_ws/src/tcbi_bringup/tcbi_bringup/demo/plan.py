@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tcbi_infer.diagnose.diagnosis import QUICK as QUICK_DIAGNOSIS
-from tcbi_infer.diagnose.diagnosis import Settings
+from tcbi_infer.diagnose.settings import QUICK as QUICK_DIAGNOSIS
+from tcbi_infer.diagnose.settings import Settings
 
 SLOPE = 0.12  # rad, of the ground under the recorded motions
 TURN = 2.4  # rad between the directions in which it falls, so that no two are alike

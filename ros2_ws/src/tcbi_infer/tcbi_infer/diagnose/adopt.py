@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tcbi_infer.diagnose.diagnosis import Settings, diagnose
+from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import Diagnosis
+from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.errors import InferError
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model

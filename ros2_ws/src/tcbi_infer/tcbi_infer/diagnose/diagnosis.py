@@ -7,7 +7,7 @@ diagnosis.verdict, diagnosis.statement, diagnosis.ranking[0].parameters
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -20,14 +20,15 @@ from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.detectable import Background, detectable_sizes
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, DetectableSize, Diagnosis, Evidence, NextMotion
 from tcbi_infer.diagnose.false_alarms import false_alarms
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import CLOSE_STEPS, Fit, Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.judge import Judge, Judged, screened
 from tcbi_infer.diagnose.motions import ready_motions
 from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
-from tcbi_infer.diagnose.screen import Directions, Screen, Targets, simulate_directions
-from tcbi_infer.diagnose.starts import start_points
+from tcbi_infer.diagnose.screen import Directions, Screen, simulate_directions
+from tcbi_infer.diagnose.search import Progress, Search, refined
+from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.diagnose.verdict import MOSTLY, WELL_PREDICTED, Ruling, accept, ranked, rule
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import candidates
@@ -36,36 +37,7 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
-CLOSE_STEPS = (0.05, 0.05, 0.03, 0.03, 0.03)  # of finite differences; a fit that has converged ends before
-RIVAL_SIZES = (0.08, 0.16, 0.3, 0.5)  # of an effect's range
-RIVAL = 1 / 2  # of what the best effect explains of a few sets: one that explains as much in its place is worth a fit
-LEAST_WORTH = 10.0  # nats: who explains less has no rivals to look for
-HOPELESS = 0.2  # of the best candidate's gain: one that gains less with coarse steps gets no fine ones
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
-Progress = Callable[[str, float], None]  # stage, share done
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """How thorough a diagnosis is."""
-
-    refine: int = 3  # candidates that get a full fit
-    per_effect: int = 2  # sites of one effect among them
-    further: int = 8  # other effects that are looked at far from the base fit, where much is left unexplained
-    escape: bool = True  # the best candidate's fit, too, looks for other valleys of the loss
-    rivals: bool = True  # effects that the screening did not rank are tried in the best one's place
-    least_share: float | None = None  # of the best candidate's gain in screening, that a full fit takes; None: any
-    timestep: float = 0.002  # s, of the final fits
-    coarse: float = 0.005  # s, of the screening and of first fits
-    seed: int = 0
-    likeness: float = 0.97  # cosine above which two candidates' signatures count as the same
-    per_joint: bool = True  # try effects at every single joint
-    sealed_share: float = 0.2  # of the kinds of motion, opened at the very end
-
-
-QUICK = Settings(
-    refine=2, least_share=0.4, escape=False, per_joint=False, sealed_share=0.0
-)  # a first answer, from few motions
 
 
 def diagnose(
@@ -149,16 +121,11 @@ class _Run:
     def go(self) -> Diagnosis:
         """All stages in order."""
         coarse, nuisance = self.fit_base()
-        base = self._refit(coarse, nuisance)  # what a coarse time step gets wrong must not look like an effect
+        # what a coarse time step gets wrong must not look like an effect
+        base = refined(self.problem, coarse, nuisance, self.sets, self.settings)
         self.progress("screening effects", 0.25)
         directions = simulate_directions(
-            self.problem,
-            base,
-            nuisance,
-            self.uses,
-            self.sets,
-            self.settings.coarse,
-            self._screened(),
+            self.problem, base, nuisance, self.uses, self.sets, self.settings.coarse, self._screened()
         )
         judge = Judge(self.model, self.problem, self.split, self.floor, nuisance, self.settings.timestep)
         before = judge.judge(base)
@@ -167,15 +134,15 @@ class _Run:
         screen = Screen(self.problem, base, nuisance, directions, self.sets)
         data = screen.targets(base.residual[None])
         gains = screen.held_out(data)[:, :, 0]
-        chosen = self._choose(directions, gains)
-        fits = self._fit_chosen(chosen, screen, data, base, nuisance)
-        rivals = self._rivals(screen, data, base, nuisance, fits)
-        fits |= self._fit_chosen(rivals, screen, data, base, nuisance, (0.7, 0.75))
+        search = Search(
+            self.problem, base, coarse.total, nuisance, screen, data, gains, self.sets, self.settings, self.progress
+        )
+        fits = search.fit(search.best_by_screening(), (0.55, 0.7))
+        fits |= search.fit(search.rivals(fits), (0.7, 0.75))
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
         least = min(e.error for e in (before, *after.values()))
         if least > WELL_PREDICTED and before.error - least < MOSTLY * (before.error - 1.0):
-            hidden = self._hidden(screen, data, gains, base, nuisance, fits)
-            others = self._fit_chosen(hidden, screen, data, base, nuisance, (0.8, 0.85))
+            others = search.fit(search.hidden(fits), (0.8, 0.85))
             fits |= others
             after |= {u: judge.judge(fine) for u, (_, fine) in others.items()}
         self.progress("simulating nothing missing", 0.85)
@@ -183,7 +150,7 @@ class _Run:
         null = simulate_null(
             self.problem, screen, nuisance, leftover, self.sets, np.random.default_rng(self.settings.seed)
         )
-        alike = self._alike(screen, data, list(fits))
+        alike = search.alike(list(fits))
         evidence = [
             screened(use, gains[:, u], screen.sizes, before.error)
             for u, use in enumerate(directions.uses)
@@ -221,7 +188,6 @@ class _Run:
         again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
         fit = again.run(first.unit[None], steps=CLOSE_STEPS)
         fit = again.escape(fit, width, CLOSE_STEPS)
-        self.base_loss = fit.total
         return fit, nuisance
 
     def _full(self, residual: np.ndarray) -> np.ndarray:
@@ -229,128 +195,9 @@ class _Run:
         full[self.sets] = residual
         return full
 
-    def _refit(self, fit: Fit, nuisance: Nuisance) -> Fit:
-        if self.settings.timestep >= self.settings.coarse:
-            return fit
-        return Fitter(self.problem, fit.model, nuisance, self.sets, self.settings.timestep).polish(fit)
-
     def _screened(self) -> Callable[[str], None]:
         count = itertools.count(1)
         return lambda use: self.progress(f"screening {use}", 0.25 + 0.3 * next(count) / len(self.uses))
-
-    def _choose(self, directions: Directions, gains: np.ndarray) -> list[int]:
-        """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
-        mean = gains.mean(axis=0)
-        least = -np.inf if self.settings.least_share is None else self.settings.least_share * float(np.max(mean))
-        order = [u for u in np.argsort(-mean) if mean[u] >= least]
-        chosen: list[int] = []
-        per_effect: dict[str, int] = {}
-        for u in order:
-            name = directions.uses[u].partition(":")[0]
-            if per_effect.get(name, 0) < self.settings.per_effect and len(chosen) < self.settings.refine:
-                chosen.append(int(u))
-                per_effect[name] = per_effect.get(name, 0) + 1
-        return chosen
-
-    def _hidden(
-        self,
-        screen: Screen,
-        data: Targets,
-        gains: np.ndarray,
-        base: Fit,
-        nuisance: Nuisance,
-        fits: Collection[int],
-    ) -> list[int]:
-        """Uses of other effects that start well far from the base fit, where what was fitted leaves too much.
-
-        A base fit that bent itself to make up for an effect hides it from the screening, which looks along straight
-        lines from there: soft servos and half the weight passed for grease once.
-        """
-        names = screen.directions.uses
-        seen = {names[u].partition(":")[0] for u in fits}
-        losses: dict[int, float] = {}
-        for u in map(int, np.argsort(-gains.mean(axis=0))):
-            name = names[u].partition(":")[0]
-            if name in seen or len(losses) == self.settings.further:
-                continue
-            seen.add(name)
-            self.progress(f"looking for {names[u]} elsewhere", 0.75)
-            fitter = Fitter(self.problem, screen.directions.models[u], nuisance, self.sets, self.settings.coarse)
-            few = fitter.on_few_sets()
-            starts = start_points(screen, data, u, base, fitter)
-            losses[u] = min(few.start_losses(few.predict(starts), np.zeros(nuisance.effect.shape[-1])))
-        return sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
-
-    def _rivals(
-        self, screen: Screen, data: Targets, base: Fit, nuisance: Nuisance, fits: dict[int, tuple[Fit, Fit]]
-    ) -> dict[int, np.ndarray]:
-        """Uses that hardly show around the base fit, but nearly take the best effect's place with its base parameters.
-
-        A base fit that answered late because its servos were soft hid one kind of latency and not the other.
-
-        Returns:
-          Uses, each with the (1, P) start that explains most.
-        """
-        if not (fits and self.settings.rivals):
-            return {}
-        best = min((rough for rough, _ in fits.values()), key=lambda f: f.total)
-        known = best.unit[: len(base.unit)]
-        whole = Fitter(self.problem, base.model, nuisance, self.sets, self.settings.coarse)
-        few, positions = whole.on_few_sets(), whole.few_positions()
-        (without,) = few.start_losses(few.predict(known), best.nuisance)
-        worth = without - float(best.loss[positions].sum())
-        if worth < LEAST_WORTH:
-            return {}
-        explained: dict[int, tuple[float, np.ndarray]] = {}
-        for u, model in enumerate(screen.directions.models):
-            if u in fits:
-                continue
-            few = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse).on_few_sets()
-            sizes = screen.sized(data, u, RIVAL_SIZES, 1)
-            starts = np.concatenate([np.repeat(known[None], len(sizes), axis=0), sizes], axis=1)
-            losses = few.start_losses(few.predict(starts), best.nuisance)
-            i = int(np.argmin(losses))
-            if without - losses[i] > RIVAL * worth:
-                explained[u] = losses[i], starts[i][None]
-        nearest = sorted(explained, key=lambda u: explained[u][0])[: self.settings.per_effect]
-        return {u: explained[u][1] for u in nearest}
-
-    def _fit_chosen(
-        self,
-        chosen: Collection[int] | Mapping[int, np.ndarray],
-        screen: Screen,
-        data: Targets,
-        base: Fit,
-        nuisance: Nuisance,
-        shares: tuple[float, float] = (0.55, 0.75),
-    ) -> dict[int, tuple[Fit, Fit]]:
-        begin, end = shares
-        fitted: dict[int, tuple[Fitter, Fit]] = {}
-        for i, u in enumerate(chosen):
-            model = screen.directions.models[u]
-            self.progress(f"fitting {screen.directions.uses[u]}", begin + (end - begin) * i / len(chosen))
-            fitter = Fitter(self.problem, model, nuisance, self.sets, self.settings.coarse)
-            starts = start_points(screen, data, u, base, fitter)
-            if isinstance(chosen, Mapping):
-                starts = np.concatenate([chosen[u], starts])
-            fitted[u] = fitter, fitter.run(starts, steps=CLOSE_STEPS)
-        if self.settings.escape and fitted:
-            u = min(fitted, key=lambda u: fitted[u][1].total)
-            fitter, rough = fitted[u]
-            fitted[u] = fitter, fitter.escape(rough, len(base.unit), CLOSE_STEPS)
-        gains = {u: self.base_loss - rough.total for u, (_, rough) in fitted.items()}
-        best = max(gains.values(), default=0.0)
-        least = min(HOPELESS * best, best)
-        return {u: (rough, self._refit(rough, nuisance)) for u, (_, rough) in fitted.items() if gains[u] >= least}
-
-    def _alike(self, screen: Screen, data: Targets, chosen: Sequence[int]) -> dict[str, tuple[str, ...]]:
-        names = screen.directions.uses
-        return {
-            names[a]: tuple(
-                names[b] for b in chosen if b != a and abs(screen.likeness(a, b, data)) > self.settings.likeness
-            )
-            for a in chosen
-        }
 
     def _drift(self, coarse: Fit, fine: Fit) -> np.ndarray:
         """(P,) how far the optimum may still move below the fine time step, from how far it moved down to it."""
@@ -429,6 +276,3 @@ class _Run:
         if not self.floor.from_replicates:
             claims.append(self.floor.statement)
         return claims
-
-
-__all__ = ["QUICK", "Settings", "diagnose"]

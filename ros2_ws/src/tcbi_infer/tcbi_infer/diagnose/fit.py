@@ -15,8 +15,10 @@ from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import Model
 
 STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
-STRETCH = (2.0, 1.0, 0.4)  # of the Gauss-Newton step, tried together
-TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with each step
+CLOSE_STEPS = (0.05, 0.05, 0.03, 0.03, 0.03)  # from a good start; a fit that has converged ends before
+STRETCH = (2.0, 0.4)  # of the Gauss-Newton step, where the whole step does not do what was expected of it
+BETTER, WORSE = 1.2, 0.5  # of the expected fall of the loss
+TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with a step
 TOGETHER_STEP = 0.04  # of a range: only while the steps are as wide as this
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
 SCALINGS = (0.5, 0.7, 1.4, 2.0)  # of all forces and masses, to others
@@ -30,7 +32,7 @@ SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
 POLISH = (0.02, 0.02, 0.02)  # with known slopes their sizes say only that they may end the fit
 CLOSE = (0.03, 0.03, 0.03)  # of a range, where slopes are taken once more
-POLISH_STRETCH = (1.0, 0.4)
+POLISH_STRETCH = (0.4,)
 REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
 FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
 
@@ -102,6 +104,16 @@ def to_unit(model: Model, values: np.ndarray) -> np.ndarray:
     """(..., P) physical -> unit, clipped to [0, 1]."""
     columns = [p.to_unit(values[..., i]) for i, p in enumerate(model.parameters)]
     return np.clip(np.stack(columns, axis=-1), 0.0, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """Where a step might end: (P,) parameters, (Q,) nuisances, the prediction without these, the loss."""
+
+    unit: np.ndarray
+    nuisance: np.ndarray
+    predicted: np.ndarray
+    total: float
 
 
 class Fitter:
@@ -191,7 +203,7 @@ class Fitter:
           starts: (N, P) in [0, 1].
           nuisance: (Q,) to start from.
           steps: of the finite differences, one for each iteration; equal ones in a row share their slopes.
-          stretch: multiples of each step that are tried together.
+          stretch: other multiples of each step, tried where the step itself does not do what was expected.
           known: slopes and bends from elsewhere, which then serve for all iterations.
         """
         delta = np.zeros(self.nuisance.effect.shape[-1]) if nuisance is None else nuisance.copy()
@@ -206,44 +218,37 @@ class Fitter:
                 jacobian, bend = self.slopes(unit, predicted, step)
             last = step
             before = self._total(residual, delta, scale)
-            move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
-            trials, trial_deltas = self._trials(unit, delta, move, move_delta, stretch, step >= TOGETHER_STEP)
-            trial_predicted = self.predict(trials)
-            trial_deltas = [self.profiled(p, d, scale) for p, d in zip(trial_predicted, trial_deltas, strict=True)]
-            best, best_total = -1, before
-            for i, trial_delta in enumerate(trial_deltas):
-                total = self._total(self.residual(trial_predicted[i], trial_delta), trial_delta, scale)
-                if total < best_total:
-                    best, best_total = i, total
-            if best >= 0:
-                moved = float(np.max(np.abs(trials[best] - unit)))
-                unit, predicted, delta = trials[best], trial_predicted[best], trial_deltas[best]
+            move, move_delta, expected = self._direction(unit, residual, delta, scale, jacobian, bend)
+            best = Trial(unit, delta, predicted, before)
+            for share in (1.0, *stretch):
+                if share != 1.0 and not _worth_trying(share, before - best.total, expected):
+                    continue
+                places = self._places(unit, share * move, step >= TOGETHER_STEP and share == 1.0)
+                best = min([best, *self._tried(places, delta + share * move_delta, scale)], key=lambda t: t.total)
+            moved = float(np.max(np.abs(best.unit - unit)))
+            if best.total < before:
+                unit, predicted, delta = best.unit, best.predicted, best.nuisance
                 residual = self.residual(predicted, delta)
                 scale = self.scales(residual)
             small = max(SMALL_GAIN, SMALL_SHARE * abs(before))
-            converged = best < 0 or moved < SMALL_STEP or before - best_total < small
+            converged = moved < SMALL_STEP or before - best.total < small
             if converged and step <= FINE_STEP:
                 break
         return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
 
-    def _trials(
-        self,
-        unit: np.ndarray,
-        delta: np.ndarray,
-        move: np.ndarray,
-        move_delta: np.ndarray,
-        stretch: Sequence[float],
-        wide: bool,
-    ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Where a step may end: shorter and longer, and with all forces and masses scaled together."""
-        trials = [np.clip(unit + share * move, 0.0, 1.0) for share in stretch]
-        deltas = [delta + share * move_delta for share in stretch]
-        if not wide:
-            return np.array(trials), deltas
-        together = [scaled_together(self.model, trials[stretch.index(1.0)], factor) for factor in TOGETHER]
-        if np.allclose(together[0], trials[stretch.index(1.0)]):
-            return np.array(trials), deltas
-        return np.array(trials + together), deltas + [delta + move_delta] * len(together)
+    def _places(self, unit: np.ndarray, move: np.ndarray, wide: bool) -> np.ndarray:
+        """(n, P) where a step may end; a wide one also with all forces and masses scaled together."""
+        end = np.clip(unit + move, 0.0, 1.0)
+        together = [scaled_together(self.model, end, factor) for factor in TOGETHER]
+        return np.array([end, *together] if wide and not np.allclose(together[0], end) else [end])
+
+    def _tried(self, places: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> list[Trial]:
+        """Each of (n, P) places, with the nuisances that suit it best."""
+        trials = []
+        for unit, predicted in zip(places, self.predict(places), strict=True):
+            own = self.profiled(predicted, delta, scale)
+            trials.append(Trial(unit, own, predicted, self._total(self.residual(predicted, own), own, scale)))
+        return trials
 
     def escape(self, fit: Fit, count: int, steps: Sequence[float]) -> Fit:
         """The fit, or a better one begun far off: along one of the first `count` parameters, or all forces scaled.
@@ -310,10 +315,14 @@ class Fitter:
         scale: np.ndarray,
         jacobian: np.ndarray,
         bend: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        normal, slope = self._quadratic(residual, scale, jacobian, bend)
-        step = bounded_step(normal.sum(axis=0), slope.sum(axis=0), unit, delta)
-        return step[: len(unit)], step[len(unit) :]
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """The Gauss-Newton step of parameters and nuisances, and how much the loss should fall with it."""
+        normals, slopes = self._quadratic(residual, scale, jacobian, bend)
+        normal, slope = normals.sum(axis=0), slopes.sum(axis=0)
+        step = bounded_step(normal, slope, unit, delta)
+        move, move_delta = step[: len(unit)], step[len(unit) :]
+        expected = slope @ step - 0.5 * step @ normal @ step - delta @ move_delta - 0.5 * move_delta @ move_delta
+        return move, move_delta, float(expected)
 
     def _finish(
         self,
@@ -332,6 +341,11 @@ class Fitter:
         return Fit(
             self.model, unit, delta, predicted, residual, loss, scale, normal, slope, square, jacobian, bend, converged
         )
+
+
+def _worth_trying(share: float, fall: float, expected: float) -> bool:
+    """Whether a longer or shorter step may do better than the whole one, whose loss fell by so much."""
+    return fall > BETTER * expected if share > 1.0 else fall < WORSE * expected
 
 
 def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:

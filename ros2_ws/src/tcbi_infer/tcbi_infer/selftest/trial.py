@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from tcbi_infer.compare.replicates import find_replicates
-from tcbi_infer.diagnose.diagnosis import Settings, diagnose
+from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, Diagnosis
 from tcbi_infer.diagnose.motions import Motion
+from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.errors import InferError
 from tcbi_infer.selftest.robot import Robot
 from tcbi_sim.measurement import Measurement

@@ -1,0 +1,171 @@
+"""Which effects get a full fit, and these fits: the best by screening, and those that the screening could not see."""
+
+import dataclasses
+from collections.abc import Callable, Collection, Mapping, Sequence
+
+import numpy as np
+
+from tcbi_infer.diagnose.fit import CLOSE_STEPS, Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.screen import Screen, Targets
+from tcbi_infer.diagnose.settings import Settings
+from tcbi_infer.diagnose.starts import start_points
+from tcbi_sim.model import Model
+
+RIVAL_SIZES = (0.08, 0.16, 0.3, 0.5)  # of an effect's range
+RIVAL = 1 / 2  # of what the best effect explains of a few sets: one that explains as much in its place is worth a fit
+LEAST_WORTH = 10.0  # nats: who explains less has no rivals to look for
+HOPELESS = 0.2  # of the best candidate's gain: one that gains less with coarse steps gets no fine ones
+Fits = dict[int, tuple[Fit, Fit]]  # of a use, by its number: with coarse and with fine steps
+Progress = Callable[[str, float], None]  # stage, share done
+
+
+@dataclasses.dataclass(frozen=True)
+class Search:
+    """Fits of candidates to the open sets.
+
+    Attributes:
+      base: the base model's fit with fine steps; `base_loss` that with coarse ones.
+      data: targets of the base fit's residual.
+      gains: (F, U) of each use in each kind of motion, by screening.
+      sets: the open ones.
+    """
+
+    problem: Problem
+    base: Fit
+    base_loss: float
+    nuisance: Nuisance
+    screen: Screen
+    data: Targets
+    gains: np.ndarray
+    sets: np.ndarray
+    settings: Settings
+    progress: Progress
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(U) the uses."""
+        return self.screen.directions.uses
+
+    def best_by_screening(self) -> list[int]:
+        """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
+        mean = self.gains.mean(axis=0)
+        share = self.settings.least_share
+        least = -np.inf if share is None else share * float(np.max(mean))
+        order = [u for u in np.argsort(-mean) if mean[u] >= least]
+        chosen: list[int] = []
+        per_effect: dict[str, int] = {}
+        for u in order:
+            name = _effect(self.names[u])
+            if per_effect.get(name, 0) < self.settings.per_effect and len(chosen) < self.settings.refine:
+                chosen.append(int(u))
+                per_effect[name] = per_effect.get(name, 0) + 1
+        return chosen
+
+    def hidden(self, fits: Collection[int]) -> list[int]:
+        """Uses of other effects that start well far from the base fit, where what was fitted leaves too much.
+
+        A base fit that bent itself to make up for an effect hides it from the screening, which looks along straight
+        lines from there: soft servos and half the weight passed for grease once.
+        """
+        seen = {_effect(self.names[u]) for u in fits}
+        losses: dict[int, float] = {}
+        for u in map(int, np.argsort(-self.gains.mean(axis=0))):
+            name = _effect(self.names[u])
+            if name in seen or len(losses) == self.settings.further:
+                continue
+            seen.add(name)
+            self.progress(f"looking for {self.names[u]} elsewhere", 0.75)
+            fitter = self._fitter(self.screen.directions.models[u])
+            few = fitter.on_few_sets()
+            starts = start_points(self.screen, self.data, u, self.base, fitter)
+            losses[u] = min(few.start_losses(few.predict(starts), np.zeros(self.nuisance.effect.shape[-1])))
+        return sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
+
+    def rivals(self, fits: Fits) -> dict[int, np.ndarray]:
+        """Uses that hardly show around the base fit, but nearly take the best effect's place with its base parameters.
+
+        A base fit that answered late because its servos were soft hid one kind of latency and not the other. What
+        happens at one place only is no rival of what happens everywhere.
+
+        Returns:
+          Uses, each with the (1, P) start that explains most.
+        """
+        if not (fits and self.settings.rivals):
+            return {}
+        leader = min(fits, key=lambda u: fits[u][0].total)
+        best, anywhere = fits[leader][0], ":" in self.names[leader]
+        known = best.unit[: len(self.base.unit)]
+        whole = self._fitter(self.base.model)
+        few, positions = whole.on_few_sets(), whole.few_positions()
+        (without,) = few.start_losses(few.predict(known), best.nuisance)
+        worth = without - float(best.loss[positions].sum())
+        if worth < LEAST_WORTH:
+            return {}
+        explained: dict[int, tuple[float, np.ndarray]] = {}
+        for u, model in enumerate(self.screen.directions.models):
+            if u in fits or (":" in self.names[u] and not anywhere):
+                continue
+            few = self._fitter(model).on_few_sets()
+            sizes = self.screen.sized(self.data, u, RIVAL_SIZES, 1)
+            starts = np.concatenate([np.repeat(known[None], len(sizes), axis=0), sizes], axis=1)
+            losses = few.start_losses(few.predict(starts), best.nuisance)
+            i = int(np.argmin(losses))
+            if without - losses[i] > RIVAL * worth:
+                explained[u] = losses[i], starts[i][None]
+        nearest = sorted(explained, key=lambda u: explained[u][0])[: self.settings.per_effect]
+        return {u: explained[u][1] for u in nearest}
+
+    def fit(self, uses: Collection[int] | Mapping[int, np.ndarray], shares: tuple[float, float]) -> Fits:
+        """Full fits of some uses, all with coarse steps, those with hope with fine ones.
+
+        Args:
+          uses: their numbers; a mapping adds (n, P) starts of each.
+          shares: of the whole diagnosis done before and after.
+        """
+        begin, end = shares
+        fitted: dict[int, tuple[Fitter, Fit]] = {}
+        for i, u in enumerate(uses):
+            self.progress(f"fitting {self.names[u]}", begin + (end - begin) * i / len(uses))
+            fitter = self._fitter(self.screen.directions.models[u])
+            starts = start_points(self.screen, self.data, u, self.base, fitter)
+            if isinstance(uses, Mapping):
+                starts = np.concatenate([uses[u], starts])
+            fitted[u] = fitter, fitter.run(starts, steps=CLOSE_STEPS)
+        if self.settings.escape and fitted:
+            u = min(fitted, key=lambda u: fitted[u][1].total)
+            fitter, rough = fitted[u]
+            fitted[u] = fitter, fitter.escape(rough, len(self.base.unit), CLOSE_STEPS)
+        gains = {u: self.base_loss - rough.total for u, (_, rough) in fitted.items()}
+        best = max(gains.values(), default=0.0)
+        least = min(HOPELESS * best, best)
+        return {
+            u: (rough, refined(self.problem, rough, self.nuisance, self.sets, self.settings))
+            for u, (_, rough) in fitted.items()
+            if gains[u] >= least
+        }
+
+    def alike(self, uses: Sequence[int]) -> dict[str, tuple[str, ...]]:
+        """By each use's name, the others that change the signals as it does."""
+        return {
+            self.names[a]: tuple(
+                self.names[b]
+                for b in uses
+                if b != a and abs(self.screen.likeness(a, b, self.data)) > self.settings.likeness
+            )
+            for a in uses
+        }
+
+    def _fitter(self, model: Model) -> Fitter:
+        return Fitter(self.problem, model, self.nuisance, self.sets, self.settings.coarse)
+
+
+def refined(problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, settings: Settings) -> Fit:
+    """A fit carried on with fine steps."""
+    if settings.timestep >= settings.coarse:
+        return fit
+    return Fitter(problem, fit.model, nuisance, sets, settings.timestep).polish(fit)
+
+
+def _effect(use: str) -> str:
+    return use.partition(":")[0]
