@@ -23,7 +23,7 @@ def fitter() -> Fitter:
     return Fitter(problem, MODEL, Nuisance.none(problem), np.arange(len(replay.replicates)), 0.002)
 
 
-@pytest.mark.parametrize("start", [(0.5, 0.5, 0.5), (0.2, 0.8, 0.9)])
+@pytest.mark.parametrize("start", [(0.5, 0.5, 0.5), (0.8, 0.4, 0.4)])
 def test_a_fit_comes_to_the_truth_and_knows_it(fitter, start):
     fit = fitter.run(np.array([start]))
     at_truth = fitter.run(to_unit(MODEL, BASE)[None], steps=())

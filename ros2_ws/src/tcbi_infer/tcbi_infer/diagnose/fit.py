@@ -218,7 +218,9 @@ class Fitter:
                 jacobian, bend = self.slopes(unit, predicted, step)
             last = step
             before = self._total(residual, delta, scale)
-            move, move_delta, expected = self._direction(unit, residual, delta, scale, jacobian, bend)
+            move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
+            straight = residual - jacobian @ move - self.nuisance.effect[self.sets] @ move_delta
+            expected = before - self._total(straight, delta + move_delta, scale)
             best = Trial(unit, delta, predicted, before)
             for share in (1.0, *stretch):
                 if share != 1.0 and not _worth_trying(share, before - best.total, expected):
@@ -315,14 +317,10 @@ class Fitter:
         scale: np.ndarray,
         jacobian: np.ndarray,
         bend: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, float]:
-        """The Gauss-Newton step of parameters and nuisances, and how much the loss should fall with it."""
-        normals, slopes = self._quadratic(residual, scale, jacobian, bend)
-        normal, slope = normals.sum(axis=0), slopes.sum(axis=0)
-        step = bounded_step(normal, slope, unit, delta)
-        move, move_delta = step[: len(unit)], step[len(unit) :]
-        expected = slope @ step - 0.5 * step @ normal @ step - delta @ move_delta - 0.5 * move_delta @ move_delta
-        return move, move_delta, float(expected)
+    ) -> tuple[np.ndarray, np.ndarray]:
+        normal, slope = self._quadratic(residual, scale, jacobian, bend)
+        step = bounded_step(normal.sum(axis=0), slope.sum(axis=0), unit, delta)
+        return step[: len(unit)], step[len(unit) :]
 
     def _finish(
         self,
@@ -345,7 +343,7 @@ class Fitter:
 
 def _worth_trying(share: float, fall: float, expected: float) -> bool:
     """Whether a longer or shorter step may do better than the whole one, whose loss fell by so much."""
-    return fall > BETTER * expected if share > 1.0 else fall < WORSE * expected
+    return fall > BETTER * expected + SMALL_GAIN if share > 1.0 else fall < WORSE * expected - SMALL_GAIN
 
 
 def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:
