@@ -37,6 +37,7 @@ from tcbi_bringup.executables import find_executable
 POLL_S = 0.05
 LOG_MARK = "--- started "  # begins the line that each start writes to the log
 INTERRUPT_S, TERMINATE_S = 8.0, 3.0  # time given after SIGINT, after SIGTERM
+REAP_S = 2.0  # for a killed process to be seen dead
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 HEALTHY_AFTER_S = 60.0  # a process that ran this long starts its count of failures anew; loaded machines start slowly
 TRIES = 5  # failures in a row before a process is given up
@@ -223,12 +224,15 @@ class Graph:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        impatient = kind is KeyboardInterrupt and bool(self._stopping)  # Ctrl-C again, while all are being stopped
         try:
-            self.stop()
-        finally:  # a second Ctrl-C while stopping ends here
+            if not impatient:
+                self.stop()
+        finally:  # also of Ctrl-C just here
             for name in self._all:
                 self._signal(name, signal.SIGKILL, group=True)
+            self._wait(self._all, REAP_S)
             self._done.set()
             if self._thread:
                 self._thread.join()

@@ -1,9 +1,11 @@
 """The launcher with plain programs in the place of nodes: no ROS in these tests."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +50,16 @@ def is_up(graph: Graph, name: str) -> bool:
     return "up" in graph.tail(name)
 
 
+@contextlib.contextmanager
+def interruptible():
+    """Ctrl-C interrupts, also where the tests run in the background of a shell, which has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def status(graph: Graph, name: str):
     return {s.name: s for s in graph.status()}[name]
 
@@ -65,6 +77,18 @@ def test_stop_ends_by_force_what_ignores_it(tmp_path, monkeypatch, code, ending)
     with Graph([program("one", code)], log_dir=tmp_path) as graph:
         wait_for(lambda: is_up(graph, "one"), "start")
         assert graph.stop() == {"one": ending}
+
+
+def test_who_interrupts_a_stop_waits_no_longer(tmp_path):
+    with pytest.raises(KeyboardInterrupt), Graph([program("deaf", DEAF)], log_dir=tmp_path) as graph:
+        wait_for(lambda: is_up(graph, "deaf"), "start")
+        main = threading.get_ident()
+        threading.Timer(0.5, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
+        began = time.monotonic()
+        with interruptible():
+            graph.stop()
+    assert time.monotonic() - began < launcher.INTERRUPT_S
+    assert status(graph, "deaf").exit_code == -signal.SIGKILL
 
 
 def test_a_crashed_process_starts_again(tmp_path):
