@@ -335,9 +335,9 @@ def train_run(folder: Path, report: Report) -> None:
     conditions = draw_conditions(model, run.config.task, run.pairs, ACCEPTANCE_SEED + run.config.seed)
     report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
     timing = (run.config.timestep, run.config.threads)
-    comparison = compare_paired(
-        evaluate(rival, model, conditions, *timing), evaluate(policy, model, conditions, *timing)
-    )
+    before = evaluate(rival, model, conditions, *timing)
+    unchanged = isinstance(rival, Policy) and rival.card.sha256 == policy.card.sha256  # the best was the first
+    comparison = compare_paired(before, before if unchanged else evaluate(policy, model, conditions, *timing))
     facts = {"better": comparison.better, "statement": comparison.statement(), **dataclasses.asdict(comparison)}
     report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, **facts})
 
