@@ -70,12 +70,17 @@ class Fitter:
 
     def fit(self) -> np.ndarray:
         """(P,) the best of several descents."""
-        effort = self.data.effort
         nominal = self.model.to_unit(np.array([p.nominal for p in self.model.parameters]))
-        starts = np.random.default_rng(0).uniform(0.1, 0.9, (effort.starts, len(self.model.names)))
-        losses = self._loss(self._residuals(starts))
-        ends = [self._descend(start) for start in (nominal, *starts[np.argsort(losses)[: effort.kept]])]
+        ends = [self._descend(start) for start in (nominal, *self._random_starts())]
         return self.model.from_unit(min(ends, key=lambda end: end[0])[1])
+
+    def _random_starts(self) -> np.ndarray:
+        """(kept, P) the best of many."""
+        effort = self.data.effort
+        if not effort.kept:
+            return np.empty((0, len(self.model.names)))
+        starts = np.random.default_rng(0).uniform(0.1, 0.9, (effort.starts, len(self.model.names)))
+        return starts[np.argsort(self._loss(self._residuals(starts)))[: effort.kept]]
 
     def _residuals(self, unit: np.ndarray) -> np.ndarray:
         return self.data.residuals(self.model, self.model.from_unit(unit)).reshape(len(unit), -1)
@@ -146,7 +151,7 @@ def pendulum(quick: bool) -> list[dict[str, Any]]:
 
 def arm() -> list[dict[str, Any]]:
     """Six servos: the ideal servo, which is at its command, and what the elbow needs beside it."""
-    effort = Effort(starts=6, kept=0, steps=6)
+    effort = Effort(kept=0, steps=6)
     mapping = load_mapping("so101_arm")
     logs = {path.name: read_log(mapping, path) for path in sorted((DATA / "so101_arm").iterdir()) if path.is_dir()}
     chosen = ("static_holding", "velocity_ramp", "chirp_sweep", "backlash_detection")
