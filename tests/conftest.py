@@ -20,8 +20,11 @@ from rclpy.qos import QoSProfile
 
 from tcbi_bringup.graph_monitor import GraphMonitor
 from tcbi_bringup.launcher import Graph, NodeProcess
+from tcbi_contract import names
+from tcbi_msgs.srv import ResetEpisode
 
 DEADLINE_S = 90.0  # far beyond what is needed, for a machine that does much else
+RESETS, RESET_PAUSE_S = 5, 1.0
 
 
 @pytest.fixture
@@ -105,6 +108,15 @@ class Peer:
                 return future.result()
             client.remove_pending_request(future)
         raise AssertionError(f"{service} did not answer within {timeout_s:g} s")
+
+    def reset(self, **fields: Any) -> Any:
+        """A reset that succeeds, asked for again while a robot that a busy machine holds up says it is not ready."""
+        for _ in range(RESETS):
+            answer = self.call(names.RESET_EPISODE, ResetEpisode.Request(**fields), ResetEpisode)
+            if answer.success:
+                return answer
+            self.comes(lambda: False, RESET_PAUSE_S)
+        raise AssertionError(f"reset was refused {RESETS} times: {answer.message}")
 
     def result(self, future: Any, what: str, timeout_s: float = DEADLINE_S) -> Any:
         """Wait for a future."""

@@ -36,8 +36,7 @@ def test_the_driver_drives_it_and_the_experimenter_tilts_its_ground(start_graph,
     poses = peer.collect(names.TRACKER_POSE, PoseStamped, messages.STREAM_QOS)
 
     posture = np.tile([0.1, 0.1, -0.1], 6)
-    reset = peer.call(names.RESET_EPISODE, ResetEpisode.Request(joint_position=posture.tolist()), ResetEpisode)
-    assert reset.success, reset.message
+    peer.reset(joint_position=posture.tolist())
     placed = peer.call("place_robot", ResetEpisode.Request(slope_roll=LEAN), ResetEpisode)
     assert placed.success, placed.message
     for seen in (joints, attitudes, poses):

@@ -17,7 +17,7 @@ from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract import messages, names
 from tcbi_msgs.action import Retrain
 from tcbi_msgs.msg import RolloutEvent
-from tcbi_msgs.srv import LoadPolicy, ResetEpisode
+from tcbi_msgs.srv import LoadPolicy
 from tcbi_policy.gaits import Gait
 
 pytestmark = pytest.mark.graph
@@ -34,8 +34,7 @@ def policy_node(**parameters: Any) -> NodeProcess:
 
 def begin_rollout(peer: Any, task: str, duration: float, seed: int = 1) -> int:
     """Reset, BEGIN, policy on; the rollout's zero in ns."""
-    reset = peer.call(names.RESET_EPISODE, ResetEpisode.Request(task=task, duration=duration, seed=seed), ResetEpisode)
-    assert reset.success, reset.message
+    reset = peer.reset(task=task, duration=duration, seed=seed)
     event = RolloutEvent(rollout_id="r", kind=RolloutEvent.BEGIN, task=task)
     event.header.stamp = reset.stamp
     peer.publisher(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS, subscribers=2).publish(event)

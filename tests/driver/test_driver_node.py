@@ -64,9 +64,8 @@ def test_an_episode_reset_command_silence_stop_and_release(make_bench, start_gra
     bench = make_bench(position=0.3)
     start_graph(_node(bench))
     joints = peer.collect(names.JOINT_STATES, JointState, STREAM_QOS)
-    reset = ResetEpisode.Request(task="balance", slope_pitch=0.1, blocks=[Block()])
-    answer = peer.call(names.RESET_EPISODE, reset, ResetEpisode)
-    assert answer.success, answer.message
+    scenario: dict = {"task": "balance", "slope_pitch": 0.1, "blocks": [Block()]}
+    answer = peer.reset(**scenario)
     assert answer.source == "driver"
     assert "slope" in answer.message and "1 block" in answer.message
     assert seconds(answer.stamp) == pytest.approx(seconds(joints[-1].header.stamp), abs=2.0)
@@ -87,10 +86,10 @@ def test_an_episode_reset_command_silence_stop_and_release(make_bench, start_gra
     stopped = peer.call(names.EMERGENCY_STOP, Trigger.Request(), Trigger)
     assert (stopped.success, stopped.message) == (True, "all 18 servos confirm that their torque is off")
     assert not bench.body.torque.any()
-    refused = peer.call(names.RESET_EPISODE, reset, ResetEpisode)
+    refused = peer.call(names.RESET_EPISODE, ResetEpisode.Request(**scenario), ResetEpisode)
     assert not refused.success and "emergency_stop/release" in refused.message
     assert peer.call(names.RELEASE_EMERGENCY_STOP, Trigger.Request(), Trigger).success
-    assert peer.call(names.RESET_EPISODE, reset, ResetEpisode).success
+    peer.reset(**scenario)
 
 
 def test_bad_commands_and_resets_are_refused_and_counted(make_bench, start_graph, peer):
@@ -191,7 +190,7 @@ def test_a_second_driver_on_the_same_port_is_told_that_it_is_busy(make_bench, st
 def test_ending_the_node_makes_the_robot_limp(make_bench, start_graph, peer):
     bench = make_bench()
     graph = start_graph(_node(bench))
-    assert peer.call(names.RESET_EPISODE, ResetEpisode.Request(), ResetEpisode).success
+    peer.reset()
     assert bench.body.torque.all()
     assert graph.stop("driver_node") == {"driver_node": 0}
     assert not bench.body.torque.any()
@@ -200,7 +199,7 @@ def test_ending_the_node_makes_the_robot_limp(make_bench, start_graph, peer):
 def test_a_driver_killed_at_once_leaves_a_limp_robot(make_bench, start_graph, peer, until):
     bench = make_bench()
     graph = start_graph(_node(bench))
-    assert peer.call(names.RESET_EPISODE, ResetEpisode.Request(), ResetEpisode).success
+    peer.reset()
     assert bench.body.torque.all()
     (status,) = graph.status()
     os.kill(status.pid, signal.SIGKILL)
