@@ -10,6 +10,8 @@ import nicegui.elements.scene  # these two register the libraries that the eleme
 from nicegui import ui
 from nicegui.element import Element
 
+from tcbi_dashboard.entry import Allowed
+
 BROWSER = Path(__file__).parent / "browser"
 
 
@@ -30,6 +32,10 @@ class Player(Element, component="browser/player.js", esm={"tcbi-stage": "browser
         self.show(start=time_s)
         self.run_method("jump", time_s)
 
+    def reveal(self) -> None:
+        """Scroll to where its drawing begins."""
+        self.run_method("reveal")
+
 
 class RobotView(Element, component="browser/robot_view.js"):
     """One robot, coloured by the errors of its joints or posed live."""
@@ -41,6 +47,43 @@ class RobotView(Element, component="browser/robot_view.js"):
     def pose(self, base: list[float], joints: list[float]) -> None:
         """Put it into a posture: base (7,) position m and quaternion w x y z, joints in rad."""
         self.run_method("pose", base, joints)
+
+
+class NumberField(ui.input):
+    """A field for a number; while its entry is wrong it is marked, and says what is allowed."""
+
+    def __init__(self, label: str, allowed: Allowed, value: float | None) -> None:
+        self.allowed = allowed
+        typed = "" if value is None else f"{value:.10g}"
+        super().__init__(label, value=typed, placeholder=allowed.unset or None, validation=self._fault)
+        keys = "decimal" if allowed.low >= 0 else "text"  # what a phone offers; its digits have no minus
+        self.props(f"outlined dense stack-label hide-bottom-space no-error-icon inputmode={keys}")
+
+    def _fault(self, typed: str | None) -> str | None:
+        return self.allowed.fault(typed or "")
+
+    @property
+    def number(self) -> float | None:
+        """The number; None where the field is empty and may be. Ask only what `all_right` has passed."""
+        return self.allowed.read(self.value or "")
+
+
+def number_field(
+    label: str, low: float, high: float, value: float | None = None, *, whole: bool = False, unset: str = ""
+) -> NumberField:
+    """A field for a number from `low` to `high`, with a `value` at first; `unset` is what an empty one stands for.
+
+    Nothing wrong is put right in silence: check `all_right(field, …)` before `field.number` is used.
+    """
+    return NumberField(label, Allowed(low, high, whole, unset), value)
+
+
+def all_right(*fields: NumberField) -> bool:
+    """Whether every entry is allowed; says so to the user where one is not."""
+    wrong = [str(field.props["label"]) for field in fields if not field.validate()]
+    if wrong:
+        ui.notify(f"Nothing was started: correct {', '.join(wrong)}.", type="warning")
+    return not wrong
 
 
 def card(title: str = "", width: str = "") -> ui.element:
@@ -99,4 +142,18 @@ def table(columns: dict[str, str], rows: list[dict[str, Any]], key: str, **more:
     return made if len(rows) > (more.get("pagination") or len(rows)) else made.props("hide-bottom")
 
 
-__all__ = ["Player", "RobotView", "card", "chart", "empty", "nicegui", "notes", "soft", "table", "words"]
+__all__ = [
+    "NumberField",
+    "Player",
+    "RobotView",
+    "all_right",
+    "card",
+    "chart",
+    "empty",
+    "nicegui",
+    "notes",
+    "number_field",
+    "soft",
+    "table",
+    "words",
+]

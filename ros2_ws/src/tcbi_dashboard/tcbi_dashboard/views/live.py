@@ -7,19 +7,21 @@ from typing import Any
 from nicegui import ui
 
 from tcbi_contract.errors import TcbiError
-from tcbi_contract.names import JOINTS
+from tcbi_contract.names import JOINTS, SLOPE_LIMIT
 from tcbi_dashboard import charts, task
-from tcbi_dashboard.elements import RobotView, card, chart, empty, soft, words
+from tcbi_dashboard.elements import RobotView, all_right, card, chart, empty, number_field, soft, words
 from tcbi_dashboard.live import Live
 from tcbi_dashboard.session import RIG, Session
 from tcbi_dashboard.views.base import View
 from tcbi_dashboard.views.compare import skeleton_of
+from tcbi_infer.collection import LONGEST_S
 from tcbi_sim.rigs import load_rig
 
 POSE_S = 0.1  # between two postures of the drawing
 RANGE_DEG = 40.0  # a little more than the joints' own
 LEVELS = {0: "fine", 1: "warning", 2: "error", 3: "stale"}
 GAITS = ["gait:steps", "gait:sinus", "gait:chirp", "gait:squat", "gait:twist", "gait:tripod", "none"]
+SLOPE_DEG = round(math.degrees(SLOPE_LIMIT), 9)
 TOLERANCE = 0.15  # of the contract's rate
 
 
@@ -64,15 +66,14 @@ class LiveView(View):
             self.task = ui.select(["balance", "forward"], value="balance", label="task")
             self.motion = ui.select(GAITS, value=GAITS[0], label="motion or policy", new_value_mode="add-unique")
             self.motion.props("use-input")
-            self.number = ui.number("rollouts", value=1, min=1, max=1000, precision=0)
-            self.times = ui.number("each so often", value=2, min=1, max=100, precision=0)
-            self.roll = ui.number("slope, roll / deg", min=-30, max=30, placeholder="drawn")
-            self.pitch = ui.number("slope, pitch / deg", min=-30, max=30, placeholder="drawn")
-            self.seconds = ui.number("length / s", min=0.2, max=3600, placeholder="the task's own")
-            self.seed = ui.number("seed", value=0, min=0, precision=0)
-            drawn = (self.roll, self.pitch, self.seconds)
-            for element in (self.task, self.motion, self.number, self.times, *drawn, self.seed):
+            for element in (self.task, self.motion):
                 element.props("outlined dense options-dense stack-label")
+            self.number = number_field("rollouts", 1, 1000, 1, whole=True)
+            self.times = number_field("each so often", 1, 100, 2, whole=True)
+            self.roll = number_field("slope, roll / deg", -SLOPE_DEG, SLOPE_DEG, unset="drawn")
+            self.pitch = number_field("slope, pitch / deg", -SLOPE_DEG, SLOPE_DEG, unset="drawn")
+            self.seconds = number_field("length / s", 0.2, LONGEST_S, unset="the task's own")
+            self.seed = number_field("seed", 0, 2**32 - 1, 0, whole=True)
             ui.button("Record", on_click=self.record, icon="fiber_manual_record").mark("record")
         soft(
             "The robot moves. Each motion twice, on the same slope, shows what the robot differs from itself; a "
@@ -90,15 +91,17 @@ class LiveView(View):
 
     def record(self) -> None:
         """Start a collection."""
+        if not all_right(self.number, self.times, self.roll, self.pitch, self.seconds, self.seed):
+            return
         options: dict[str, Any] = {
             "task": self.task.value,
-            "number": int(self.number.value or 1),
-            "times": int(self.times.value or 1),
-            "slope_roll": _radians(self.roll.value),
-            "slope_pitch": _radians(self.pitch.value),
-            "seed": int(self.seed.value or 0),
+            "number": int(self.number.number or 1),
+            "times": int(self.times.number or 1),
+            "slope_roll": _radians(self.roll.number),
+            "slope_pitch": _radians(self.pitch.number),
+            "seed": int(self.seed.number or 0),
             "policy": self.motion.value or "",
-            "duration_s": float(self.seconds.value or 0),
+            "duration_s": self.seconds.number or 0.0,
             "namespace": self.live.namespace.strip("/"),
         }
         try:
