@@ -1,6 +1,6 @@
 """Charts as ECharts options: colours that colour-blind readers tell apart, units on every axis, for light and dark.
 
-The charts draw in the browser; a button in each corner saves it as PNG.
+The charts draw in the browser.
 """
 
 import math
@@ -26,12 +26,10 @@ def _axis(name: str = "", **more: Any) -> Options:
     }
 
 
-def _frame(name: str, **more: Any) -> Options:
-    saving = {"saveAsImage": {"name": name, "title": "PNG", "pixelRatio": 2}}
+def _frame(**more: Any) -> Options:
     return {
         "animation": False,
         "textStyle": {"fontFamily": "system-ui, sans-serif"},
-        "toolbox": {"feature": saving, "right": 0, "top": 0, "itemSize": 13, "iconStyle": {"borderColor": INK}},
         "grid": {"left": 62, "right": 24, "top": 34, "bottom": 52},
         "tooltip": {"confine": True},
         **more,
@@ -65,7 +63,6 @@ def over_floor(errors: Mapping[str, float | None]) -> Options:
     """Error over the noise floor of every signal, the floor as a line."""
     names = list(errors)
     return _frame(
-        "errors",
         grid=_beside(names),
         xAxis=_axis("error / noise floor", type="value", min=0),
         yAxis=_axis(type="category", data=names, inverse=True),
@@ -96,14 +93,15 @@ def _line_at_one(axis: str) -> Options:
 
 
 def heat(joints: Sequence[str], phases: Sequence[str], values: Sequence[Sequence[float | None]]) -> Options:
-    """Joint x phase, coloured by error over the noise floor."""
-    cells = [[j, p, _rounded(v)] for p, row in enumerate(values) for j, v in enumerate(row) if v is not None]
+    """Joint x phase, coloured by error over the noise floor; a point is [phase, joint, value]."""
+    cells = [[p, j, _rounded(v)] for p, row in enumerate(values) for j, v in enumerate(row) if v is not None]
     top = max((c[2] for c in cells if c[2] is not None), default=2.0)
+    said = "(p) => `${p.name}: ${p.marker}${Number(p.value[2]).toPrecision(2)} × noise floor`"
     return _frame(
-        "heat",
-        grid=_beside(phases, right=16, bottom=120),
-        xAxis=_axis(type="category", data=list(joints), axisLabel={"color": INK, "rotate": 60, "interval": 0}),
-        yAxis=_axis(type="category", data=list(phases), inverse=True),
+        grid=_beside(joints, right=16, bottom=130),
+        xAxis=_axis(type="category", data=list(phases), axisLabel={"color": INK, "rotate": 35, "interval": 0}),
+        yAxis=_axis(type="category", data=list(joints), inverse=True, axisLabel={"color": INK, "interval": 0}),
+        tooltip={"confine": True, ":formatter": said},
         visualMap={
             "min": 1,
             "max": max(1.5, top),
@@ -123,7 +121,6 @@ def curve(condition: str, unit: str, middle: Sequence[float | None], error: Sequ
     """Error against one condition."""
     points = [[_rounded(x), _rounded(y)] for x, y in zip(middle, error, strict=True)]
     return _frame(
-        condition,
         xAxis=_axis(with_unit(condition, unit), type="value", scale=True),
         yAxis=_axis("error / noise floor", type="value", min=0, nameGap=34),
         series=[
@@ -150,7 +147,6 @@ def gains(ranking: Sequence[Mapping[str, Any]], chosen: Sequence[str], most: int
         low, high = e["elpd_gain"] - e["elpd_se"], e["elpd_gain"] + e["elpd_se"]
         whiskers.append([[low, row], [high, row]])
     return _frame(
-        "ranking",
         grid=_beside([e["use"] for e in shown]),
         xAxis=_axis("held-out gain / nats", type="value", splitNumber=4),
         yAxis=_axis(type="category", data=[e["use"] for e in shown], inverse=True, axisLine={"show": False}),
@@ -192,7 +188,6 @@ def interval(estimate: Mapping[str, Any]) -> Options:
         mark = {"color": "transparent", "borderColor": ORANGE, "borderWidth": 2.5}
         series.append({"type": "scatter", "symbol": cross, "symbolSize": 12, "data": [[null, 0]], "itemStyle": mark})
     return _frame(
-        estimate["name"],
         xAxis=_axis(
             with_unit(estimate["name"], estimate["unit"]), type="value", min=min(ends) - pad, max=max(ends) + pad,
             axisLabel={"color": INK, "hideOverlap": True, "showMinLabel": False, "showMaxLabel": False},
@@ -215,12 +210,11 @@ def moment(data: Mapping[str, Any], after: str) -> Options:
             "itemStyle": {"color": color},
         }
 
-    series = [line("model as it is", data["before"], BLUE, "solid")]
+    series = [line("without it", data["before"], BLUE, [5, 3])]
     if data["after"] is not None:
         series.append(line(f"with {after}", data["after"], GREEN, [8, 3, 2, 3]))
-    series.append(line("measured", data["measured"], ORANGE, [5, 3]))
+    series.append(line("measured", data["measured"], ORANGE, "solid"))
     return _frame(
-        data["signal"],
         legend={"textStyle": {"color": INK}, "left": 0, "top": 0, "itemWidth": 30, "itemStyle": {"opacity": 0}},
         tooltip={"trigger": "axis", "confine": True},
         xAxis=_axis("time / s", type="value", min="dataMin", max="dataMax", splitLine={"show": False}),
@@ -232,7 +226,6 @@ def moment(data: Mapping[str, Any], after: str) -> Options:
 def history(versions: Sequence[str], errors: Sequence[float | None]) -> Options:
     """The error of each version, falling towards the noise floor."""
     return _frame(
-        "history",
         xAxis=_axis(type="category", data=list(versions)),
         yAxis=_axis("error / noise floor", type="value", min=0, nameGap=36),
         series=[
@@ -262,7 +255,6 @@ def ladder(errors: Mapping[str, float]) -> Options:
     colors = [GREY, *[BLUE] * len(errors)]
     bars = [{"value": _rounded(v), "itemStyle": {"color": c}} for v, c in zip(values.values(), colors, strict=True)]
     return _frame(
-        "errors",
         grid=_beside(list(values), right=48),
         xAxis=_axis("error / noise floor", type="value", min=0, splitNumber=4),
         yAxis=_axis(type="category", data=list(values), inverse=True, axisLine={"show": False}),
@@ -286,7 +278,6 @@ def pair(x: Mapping[str, Any], y: Mapping[str, Any], points: Sequence[Sequence[f
     """Two parameters' draws against each other; the axes span their priors, each on its prior's scale."""
     dots = {"type": "scatter", "data": [list(p) for p in points], "symbolSize": 5}
     return _frame(
-        f"{x['name']}-{y['name']}",
         xAxis=_over(x),
         yAxis=_over(y, nameGap=46),
         series=[{**dots, "itemStyle": {"color": BLUE, "opacity": 0.45}}],
@@ -305,11 +296,10 @@ def _over(p: Mapping[str, Any], **more: Any) -> Options:
     return _axis(with_unit(p["name"], p["unit"]), type=kind, min=p["low"], max=p["high"], axisLabel=digits, **more)
 
 
-def lines(name: str, x_title: str, y_title: str, series: Mapping[str, Sequence[Sequence[float | None]]]) -> Options:
+def lines(x_title: str, y_title: str, series: Mapping[str, Sequence[Sequence[float | None]]]) -> Options:
     """Named lines over a common axis."""
     palette = [BLUE, ORANGE, GREEN, "#cc79a7", "#56b4e9", "#e69f00", GREY]
     return _frame(
-        name,
         legend={"textStyle": {"color": INK}, "left": 0, "top": 0, "type": "scroll", "right": 30},
         tooltip={"trigger": "axis", "confine": True},
         xAxis=_axis(x_title, type="value", min="dataMin", max="dataMax", splitLine={"show": False}),
@@ -336,7 +326,6 @@ def _rounded(value: float | None) -> float | None:
 def levels(names: Sequence[str], title: str, limit: float) -> Options:
     """One bar for each of some values that change all the time, between two limits."""
     return _frame(
-        "levels",
         grid=_beside(names),
         xAxis=_axis(title, type="value", min=-limit, max=limit),
         yAxis=_axis(type="category", data=list(names), inverse=True),

@@ -26,7 +26,7 @@ from tcbi_dashboard.names import COMPARISON, SUMMARY
 from tcbi_infer.compare.comparison import Comparison
 from tcbi_infer.compare.ladder import Rung
 from tcbi_infer.compare.locate import worst_moments
-from tcbi_infer.compare.maps import curves, heat, joint_errors
+from tcbi_infer.compare.maps import curves, heat, joint_errors, steady
 from tcbi_infer.compare.signals import JOINT
 from tcbi_infer.diagnose.evidence import Diagnosis
 from tcbi_sim.engine import SimulatedRollouts
@@ -96,7 +96,14 @@ def _summary(c: Comparison, also: Comparison | None) -> dict[str, Any]:
             for r, m in enumerate(replay.measurements)
         ],
         "joint_errors": joint_errors(c),
-        "heat": {"joints": heat_map.joints, "phases": heat_map.phases, "values": heat_map.values},
+        "heat": {
+            "joints": heat_map.joints,
+            "phases": heat_map.phases,
+            "values": heat_map.values,
+            "rollouts": heat_map.worst[..., 0],
+            "times": replay.time[heat_map.worst[..., 1]],
+        },
+        "steady": steady(c),
         "curves": [{"condition": k.condition, "unit": k.unit, "middle": k.middle, "error": k.error} for k in curves(c)],
         "moments": _moments(c),
         "also": None if also is None else {"model": also.model, "error_over_floor": also.error_over_floor},
@@ -120,12 +127,14 @@ def _moments(c: Comparison) -> list[dict[str, Any]]:
     found = []
     for s, t, i in worst_moments(residual, c.floor.values, layout.where(JOINT), MOMENTS, span):
         window = residual[s, t : t + span, i]
+        peak = t + int(np.nanargmax(np.abs(window)))
         rms = float(np.sqrt(np.nanmean(window**2)))
         found.append(
             {
                 "rollout": firsts[s],
                 "begin": float(replay.time[t]),
                 "end": float(replay.time[min(t + span, len(replay.time)) - 1]),
+                "peak": float(replay.time[peak]),
                 "signal": layout.channels[i].name,
                 "unit": layout.channels[i].group.unit,
                 "error": rms,

@@ -15,7 +15,7 @@ class Place:
     """A moment of a rollout of the comparison that is shown."""
 
     rollout: int
-    begin: float  # s
+    time: float  # s
     signal: str
 
 

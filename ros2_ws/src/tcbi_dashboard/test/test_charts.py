@@ -22,7 +22,7 @@ MADE = {
     "history": charts.history(["v0", "v1"], [27.0, None]),
     "ladder": charts.ladder({"model": 5.0}),
     "pair": charts.pair(MASS, {**MASS, "name": "friction", "unit": "1", "scale": "log"}, [[0.5, 0.6]]),
-    "lines": charts.lines("training", "steps", "return", {"mean": [(0, 1.0), (1, math.inf)]}),
+    "lines": charts.lines("steps", "return", {"mean": [(0, 1.0), (1, math.inf)]}),
     "levels": charts.levels(["a"], "position / deg", 30.0),
 }
 
@@ -42,11 +42,6 @@ def test_a_chart_is_json_that_any_browser_reads(name):
 def test_every_axis_with_numbers_has_a_title(name):
     numeric = [a for which in ("xAxis", "yAxis") for a in axes(MADE[name], which) if a["type"] != "category"]
     assert all(a.get("name") or a.get("show") is False for a in numeric)
-
-
-@pytest.mark.parametrize("name", MADE)
-def test_every_chart_can_be_saved_as_a_picture(name):
-    assert "saveAsImage" in MADE[name]["toolbox"]["feature"]
 
 
 def test_what_the_verdict_names_stands_out():

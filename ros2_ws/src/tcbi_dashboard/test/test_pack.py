@@ -57,7 +57,25 @@ def test_the_summary_is_plain_json_and_holds_no_samples(packed):
     assert [e["rollout"] for e in summary["each"]] == list(comparison.rollouts)
     assert len(summary["heat"]["joints"]) == len(summary["heat"]["values"][0]) == 18
     assert {m["rollout"] for m in summary["moments"]} <= set(range(4))
+    assert all(m["begin"] <= m["peak"] <= m["end"] for m in summary["moments"])
     assert len(text) < 60_000
+
+
+def test_a_cell_of_the_heat_map_leads_to_its_largest_error(packed):
+    comparison, folder = packed
+    heat = json.loads((folder / "summary.json").read_text())["heat"]
+    joint, phase = 4, heat["phases"].index("at any time")
+    rollout, time = heat["rollouts"][phase][joint], heat["times"][phase][joint]
+    errors = np.abs(comparison.replay.measured - comparison.predicted)[..., joint]
+    sample = int(np.argmin(np.abs(comparison.replay.time - time)))
+    assert errors[rollout, sample] == pytest.approx(np.nanmax(errors))
+
+
+def test_what_hardly_varies_is_told_instead_of_drawn(packed):
+    _, folder = packed
+    summary = json.loads((folder / "summary.json").read_text())
+    drawn = {curve["condition"] for curve in summary["curves"]}
+    assert drawn and not drawn & set(summary["steady"])
 
 
 def test_only_the_newest_comparisons_are_kept(packed, tmp_path):

@@ -12,7 +12,7 @@ export default {
         <div v-if="fault" class="tcbi-stage-fault">{{ fault }}</div>
         <ul class="tcbi-legend"><li><i style="background:${MEASURED}"></i>measured</li>
           <li><i style="background:${PREDICTED}"></i>{{ model }}</li>
-          <li v-if="also"><i style="background:${ALSO}"></i>{{ also }} (signals)</li></ul>
+          <li v-if="also"><i style="background:${ALSO}"></i>{{ also }}: in the signals below</li></ul>
         <div class="tcbi-stage-note">{{ note }}</div>
         <button class="tcbi-picture" title="Save the drawing as PNG" @click="picture">PNG</button>
       </div>
@@ -89,12 +89,12 @@ export default {
         const line = (name, values, color, type) => ({ ...own, name, type: "line", data: values, lineStyle: { color, width: 1.6, type }, itemStyle: { color } });
         const low = column("low", i), high = column("high", i);
         const rim = [...low, ...high.reverse()].filter(([, v]) => Number.isFinite(v));
-        const renderItem = (_, api) => ({ type: "polygon", shape: { points: rim.map((p) => api.coord(p)) }, style: { fill: PREDICTED, opacity: 0.16 }, silent: true });
+        const renderItem = (_, api) => ({ type: "polygon", shape: { points: rim.map((p) => api.coord(p)) }, style: { fill: PREDICTED, opacity: 0.28 }, silent: true });
         series.push({ type: "custom", name: "90 % band", xAxisIndex: g, yAxisIndex: g, renderItem, clip: true, silent: true, animation: false, data: [0], tooltip: { show: false } });
         series.push({ ...own, type: "line", data: rim, lineStyle: { opacity: 0 }, symbol: "none", silent: true, tooltip: { show: false } });
-        series.push(line(this.model, column("predicted", i), PREDICTED, "solid"));
+        series.push(line(this.model, column("predicted", i), PREDICTED, [5, 3]));
         if (this.arrays.predicted_also) series.push(line(this.also, column("predicted_also", i), ALSO, [8, 3, 2, 3]));
-        series.push(line("measured", column("measured", i), MEASURED, [5, 3]));
+        series.push(line("measured", column("measured", i), MEASURED, "solid"));
       });
       const axis = { axisLine: { lineStyle: { color: INK } }, axisLabel: { color: INK, fontSize: 13 }, nameTextStyle: { color: INK, fontSize: 13 }, splitLine: { lineStyle: { color: INK, opacity: 0.15 } } };
       this.chart.setOption({
@@ -136,6 +136,7 @@ export default {
       const found = this.arrays.time.findIndex((t) => t >= time);
       this.at(found < 0 ? this.length - 1 : found);
     },
+    reveal() { this.$el.scrollIntoView({ block: "start" }); },
     clicked(event) {
       const shown = this.signals.length;
       const g = Math.min(shown - 1, Math.floor(event.offsetY / HEIGHT));

@@ -22,6 +22,8 @@
       picture.style.cssText = `${canvas.style.cssText}; width: ${canvas.clientWidth}px; height: ${canvas.clientHeight}px`;
       canvases[i].replaceWith(picture);
     });
+    const stages = copy.querySelectorAll(".tcbi-stage"); // as high as on the screen: heights of the window mean nothing in a file
+    view.querySelectorAll(".tcbi-stage").forEach((stage, i) => { stages[i].style.height = `${stage.offsetHeight}px`; });
     const fields = copy.querySelectorAll("input");
     view.querySelectorAll("input").forEach((field, i) => fields[i].setAttribute("value", field.value));
     copy.querySelectorAll("button, .q-btn, .q-icon, script, .tcbi-picture").forEach((e) => e.remove());
@@ -60,7 +62,7 @@
   const saved = async (kind, title) => {
     const view = [...document.querySelectorAll(".tcbi-view")].find((e) => e.offsetParent !== null);
     const name = `tcbi-${title.toLowerCase()}`;
-    const root = page(view, `tcbi: ${title}, ${new Date().toLocaleString()}`);
+    const root = page(view, `tcbi: ${title}, ${new Date().toLocaleString("sv-SE")}`);
     const width = view.clientWidth + 32;
     if (kind === "png") return picture(root, width, view.scrollHeight + 90, name);
     root.style.cssText += `; max-width: ${width}px; margin: 0 auto`;

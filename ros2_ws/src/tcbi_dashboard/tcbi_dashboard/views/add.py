@@ -238,4 +238,4 @@ def _posterior(found: dict[str, Any]) -> None:
                 "below": [(g, m - s) for g, m, s in zip(steps["number"], mean, sd, strict=True)],
             }
             with ui.element("div").classes("tcbi-third"):
-                chart(charts.lines(p["name"], "generation", charts.with_unit(p["name"], p["unit"]), series), 240)
+                chart(charts.lines("generation", charts.with_unit(p["name"], p["unit"]), series), 240)

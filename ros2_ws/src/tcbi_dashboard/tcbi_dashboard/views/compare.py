@@ -75,7 +75,8 @@ class CompareView(View):
             place, self.session.place = self.session.place, None
             self.rollout.set_value(place.rollout)
             self.signals.set_value(list(dict.fromkeys([place.signal, *self.signals.value]))[:FIRST_SIGNALS])
-            self.player.jump(place.begin)
+            self.player.jump(place.time)
+            self.player.reveal()
 
     def compare(self) -> None:
         """Start a comparison."""
@@ -133,7 +134,7 @@ class CompareView(View):
                 also=c["also"]["model"] if c["also"] else "",
                 channels=c["channels"],
                 signals=[names.index(s) for s in first],
-                start=c["moments"][0]["begin"] if c["moments"] else 0.0,
+                start=c["moments"][0].get("peak", c["moments"][0]["begin"]) if c["moments"] else 0.0,
             )
             player = self.player
             self.rollout.on_value_change(lambda e: player.show(source=f"/data/{folder}/{e.value}"))

@@ -39,6 +39,6 @@ class ReportsView(View):
                         ui.button("Save", on_click=lambda p=path: ui.download.file(p)).props("flat dense")
             with card("Pictures"):
                 soft(
-                    "The arrow at the top saves the view that is seen, as HTML or PNG. Every chart has an arrow and "
-                    "every 3D drawing a PNG button in its corner, which save that part alone."
+                    "The arrow at the top saves the view that is seen, as HTML or PNG; the button in the corner of a "
+                    "3D drawing saves that drawing."
                 )

@@ -71,7 +71,7 @@ class RetrainCard:
         with self.result:
             if job.training:
                 points = [(e["steps"], e["mean_return"]) for e in job.training]
-                chart(charts.lines("training", "control steps", "mean return", {"mean return": points}), 240)
+                chart(charts.lines("control steps", "mean return", {"mean return": points}), 240)
             if job.result:
                 words(job.result["message"], "p")
                 if job.result["accepted"]:

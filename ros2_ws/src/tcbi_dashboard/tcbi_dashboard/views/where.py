@@ -38,6 +38,8 @@ class WhereView(View):
                 )
                 ui.button("Go to Compare", on_click=lambda: self.session.go_to("Compare")).style("justify-self: start")
                 return
+            with card():
+                soft(f"{found['model']} on {len(found['rollouts'])} rollouts, as compared last on the Compare view.")
             self._robot(found)
             self._sentences(found)
             self._heat(found)
@@ -45,6 +47,8 @@ class WhereView(View):
             for curve in found["curves"]:
                 with card(f"Error against {curve['condition'].partition(':')[0]}", "half"):
                     chart(charts.curve(curve["condition"], curve["unit"], curve["middle"], curve["error"]), 260)
+            if found.get("steady"):
+                soft(f"Not drawn, since it hardly varies in these rollouts: {', '.join(found['steady'])}.")
 
     def _robot(self, c: dict[str, Any]) -> None:
         with card("Error of each joint", "half"):
@@ -66,9 +70,12 @@ class WhereView(View):
     def _heat(self, c: dict[str, Any]) -> None:
         heat = c["heat"]
         with card("Joint and phase of the motion"):
-            made = chart(charts.heat(heat["joints"], heat["phases"], heat["values"]), 170 + 26 * len(heat["phases"]))
-            made.on_point_click(lambda e: self._worst_of(c, heat["joints"][e.data[0]]))
-            soft("Root mean square error in multiples of the noise floor. Click a cell for that joint's worst moment.")
+            made = chart(charts.heat(heat["joints"], heat["phases"], heat["values"]), 190 + 22 * len(heat["joints"]))
+            made.on_point_click(lambda e: self._show_cell(heat, *e.data[:2]))
+            soft(
+                "Root mean square error in multiples of the noise floor. Click a cell to see where that joint's error "
+                "is largest in that phase. Where a cell is blank, the joint is hardly ever in that phase."
+            )
 
     def _moments(self, c: dict[str, Any]) -> None:
         with card("The worst moments"), ui.element("div").classes("tcbi-moments"):
@@ -80,13 +87,14 @@ class WhereView(View):
                 words(f"{c['each'][moment['rollout']]['policy']}, {span}", "span", "tcbi-soft")
                 ui.button("Show", on_click=lambda m=moment: self._show(m)).props("flat dense")
 
-    def _worst_of(self, c: dict[str, Any], joint: str) -> None:
-        found = next((m for m in c["moments"] if m["signal"] == joint), None)
-        if found is None:
-            ui.notify(f"{joint} is in none of the worst moments; the Compare view shows any rollout.")
-        else:
-            self._show(found)
+    def _show_cell(self, heat: dict[str, Any], phase: int, joint: int) -> None:
+        if "times" in heat:  # not in comparisons of older versions
+            at = heat["rollouts"][phase][joint], heat["times"][phase][joint]
+            self._go(Place(*at, heat["joints"][joint]))
 
     def _show(self, moment: dict[str, Any]) -> None:
-        self.session.place = Place(moment["rollout"], moment["begin"], moment["signal"])
+        self._go(Place(moment["rollout"], moment.get("peak", moment["begin"]), moment["signal"]))
+
+    def _go(self, place: Place) -> None:
+        self.session.place = place
         self.session.go_to("Compare")

@@ -23,6 +23,7 @@ class Heat:
     joints: tuple[str, ...]
     phases: tuple[str, ...]
     values: np.ndarray  # (phases, joints)
+    worst: np.ndarray  # (phases, joints, 2) rollout and sample at which the error of a cell is largest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,16 +56,19 @@ def heat(comparison: Comparison) -> Heat:
         {"at any time": np.ones(scaled.shape[1:], bool), **phases(rig, m, replay.time)} for m in replay.measurements
     ]
     names = list(dict.fromkeys(name for masks in each for name in masks))
-    rows = []
+    rows, worst = [], []
     for name in names:
         mask = np.stack([masks.get(name, np.zeros(scaled.shape[1:], bool)) for masks in each]) & np.isfinite(scaled)
         count = mask.sum(axis=(0, 1))
         with np.errstate(invalid="ignore", divide="ignore"):
             row = np.sqrt(np.where(mask, scaled**2, 0.0).sum(axis=(0, 1)) / count)
         rows.append(np.where(count >= FEWEST, row, np.nan))
+        largest = np.where(mask, np.abs(scaled), -1.0).reshape(-1, scaled.shape[2]).argmax(axis=0)
+        worst.append(np.stack(np.unravel_index(largest, scaled.shape[:2]), axis=-1))
     values = np.stack(rows)
     kept = np.isfinite(values).any(axis=1)
-    return Heat(replay.layout.joint_names, tuple(n for n, k in zip(names, kept, strict=True) if k), values[kept])
+    phases_kept = tuple(n for n, k in zip(names, kept, strict=True) if k)
+    return Heat(replay.layout.joint_names, phases_kept, values[kept], np.stack(worst)[kept])
 
 
 def curves(comparison: Comparison) -> list[Curve]:
@@ -73,6 +77,14 @@ def curves(comparison: Comparison) -> list[Curve]:
     found = conditions(replay.layout, replay.measurements, replay.time, comparison.predicted)
     drawn = [_curve(c.name, c.unit, c.values, scaled) for c in found]
     return [curve for curve in drawn if curve is not None]
+
+
+def steady(comparison: Comparison) -> list[str]:
+    """Conditions that hardly vary in these rollouts, so that no error can be drawn against them."""
+    replay = comparison.replay
+    found = conditions(replay.layout, replay.measurements, replay.time, comparison.predicted)
+    drawn = {curve.condition for curve in curves(comparison)}
+    return [c.name for c in found if c.name not in drawn]
 
 
 def _curve(condition: str, unit: str, values: np.ndarray, scaled: np.ndarray) -> Curve | None:
