@@ -80,8 +80,7 @@ def run_inference(job: Job, emit: Emit) -> None:
         particles=job.particles,
         generations=job.generations,
     )
-    saved = store.save(result.updated_model())
-    posterior.write(store.models / saved.version / "posterior.nc", result)
+    saved = posterior.save(store, result)
     reference = store.load(job.reference, model.rig) if job.reference else model
     emit("posterior", **summary(result, saved, moved(reference, result)))
     if job.held_out:

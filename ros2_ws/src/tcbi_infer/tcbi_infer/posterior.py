@@ -14,6 +14,8 @@ import numpy as np
 import xarray as xr
 
 from tcbi_infer.tcbi.result import Result
+from tcbi_sim.model import Model
+from tcbi_sim.store import ModelStore
 
 DRAWS = 1000
 
@@ -74,6 +76,13 @@ def _generations(result: Result) -> xr.Dataset:
         },
         coords={"generation": [r["generation"] for r in rows], "parameter": names, "statistic": statistics},
     )
+
+
+def save(store: ModelStore, result: Result) -> Model:
+    """Save a result as the next version of its model, with the groups above in its netCDF file."""
+    saved = store.save(result.updated_model())
+    write(store.models / saved.version / "posterior.nc", result)
+    return saved
 
 
 def write(path: Path, result: Result) -> None:

@@ -100,13 +100,13 @@ def test_a_damaged_state_is_not_used(tmp_path: Path) -> None:
 
 def test_the_posterior_opens_in_arviz_and_becomes_a_model_version(result: Result, tmp_path: Path) -> None:
     store = ModelStore(tmp_path)
-    saved = store.save(result.updated_model())
+    saved = posterior.save(store, result)
     path = store.models / saved.version / "posterior.nc"
-    posterior.write(path, result)
     assert saved.parent == "servo_bench-v0"
     again = store.load(saved.version)
     assert np.allclose(again.particles, result.particles)
     assert again.evidence["inference"]["rollouts"] == list(result.rollouts)
+    assert again.evidence["inference"]["prior"] == "flat"
     import arviz
 
     data = arviz.from_netcdf(path)

@@ -138,8 +138,7 @@ def run(args: argparse.Namespace) -> int:
             watch=lambda p: advance(done=p.generation - 1 + p.share, total=p.generations, note=_state(p, model.names)),
             **settings,
         )
-    saved = store.save(result.updated_model())
-    posterior.write(store.models / saved.version / "posterior.nc", result)
+    saved = posterior.save(store, result)
     for line in result.warnings:
         console.note(line)
     report = Report(f"What {saved.version} knows", f"Posterior of {model.version}, inferred by {method.name}.")

@@ -18,6 +18,7 @@ from tcbi_bringup.demo.plan import Plan, slope_of
 from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
 from tcbi_bringup.errors import DemoError
 from tcbi_contract.wording import with_unit
+from tcbi_infer import posterior
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
 from tcbi_infer.diagnose.adopt import adopt, remember
@@ -161,7 +162,7 @@ class Story:
                 generations=plan.generations,
             )
         self.out.inference = result
-        saved = store.save(result.updated_model())
+        saved = posterior.save(store, result)
         self.out.models.append(saved)
         told = [f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in result.estimates if e.identified]
         nothing = "the data narrow no parameter" if result.ess >= LEAST_ESS else "too few simulations to tell"

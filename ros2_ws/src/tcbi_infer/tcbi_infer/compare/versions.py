@@ -187,5 +187,6 @@ def _statement(
     if apart:
         parts.append(f"the 90 % intervals of {', '.join(apart)} do not overlap")
     if narrower:
-        parts.append(f"{', '.join(narrower)} {'is' if len(narrower) == 1 else 'are'} known at least twice as well")
+        which = f"intervals of {', '.join(narrower)} are" if len(narrower) > 1 else f"interval of {narrower[0]} is"
+        parts.append(f"the 90 % {which} less than half as wide as in {before}")
     return "; ".join(parts) + "."

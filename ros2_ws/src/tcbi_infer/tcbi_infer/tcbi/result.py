@@ -89,6 +89,8 @@ class Result:
                 "rollouts": list(self.rollouts),
                 "statistics": list(self.statistics),
                 "closed_loop": self.closed_loop,
+                "prior": "flat" if self.prior is None else self.model.version,
+                "fits": self.fits,
                 "parameters": [e.as_json() for e in self.estimates],
                 "ess": self.ess,
                 "simulations": self.simulations,
