@@ -10,6 +10,7 @@ accepted ones are kept in the store under the next free name (`balance-1`, `bala
 """
 
 import dataclasses
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from tcbi_contract.errors import describe
-from tcbi_policy.artefact import GAIT_PREFIX, Policy, find_policy, load_policy, policy_paths, save_policy
+from tcbi_policy.artefact import GAIT_PREFIX, Policy, find_policy, load_policy, policy_paths, replace_file, save_policy
 from tcbi_policy.configuration import TrainingConfig, preset
 from tcbi_policy.errors import PolicyNotFound, TrainingError
 from tcbi_policy.runs import Run, TrainingProcess, write_run
@@ -27,6 +28,7 @@ SCRATCH = "none"
 RESTARTS = 3  # of a subprocess that dies
 FINE_TUNING_STEPS = 57_600  # two minutes on one core
 POLL_S = 0.1
+OUTCOME = "outcome.json"  # in the folder of a run whose policy was not kept: the comparison with its rival
 Event = dict[str, Any]
 
 
@@ -135,10 +137,11 @@ def retrain(
     before, after, statement = comparison["before"], comparison["after"], comparison["statement"]
     reference, path = "", str(folder / "policy.safetensors")
     if comparison["better"]:
-        policy = publish(folder, store.root, run.config.task)
+        policy = publish(folder, store.root, run.config.task, comparison=comparison)
         reference, path = policy.card.name, str(policy.path)
         shutil.rmtree(folder, ignore_errors=True)
     else:
+        replace_file(folder / OUTCOME, json.dumps(comparison).encode())
         (folder / "checkpoint.safetensors").unlink(missing_ok=True)  # the same request later starts afresh
     return Outcome(comparison["better"], False, reference, path, before, after, statement)
 
@@ -178,11 +181,16 @@ def _listen(process: TrainingProcess, on_event: Callable[[Event], None], cancell
             on_event(event)
 
 
-def publish(folder: Path, root: Path, task: str, name: str = "") -> Policy:
-    """Keep a run's policy in the store under a name, by default the next free one of its task."""
+def publish(folder: Path, root: Path, task: str, name: str = "", comparison: Event | None = None) -> Policy:
+    """Keep a run's policy in the store under a name, by default the next free one of its task.
+
+    The card keeps what the policy gained on its rival, if a comparison is given.
+    """
     trained = load_policy(folder / "policy.safetensors")
     name = name or next_name(root, task)
-    return save_policy(root / "policies" / name, trained.mlp, dataclasses.replace(trained.card, name=name))
+    training = trained.card.training | ({"comparison": comparison} if comparison else {})
+    card = dataclasses.replace(trained.card, name=name, training=training)
+    return save_policy(root / "policies" / name, trained.mlp, card)
 
 
 def next_name(root: Path, task: str) -> str:

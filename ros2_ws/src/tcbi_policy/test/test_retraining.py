@@ -1,6 +1,7 @@
 """Retraining: only what is better with confidence is accepted, and the job says so either way."""
 
 import dataclasses
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from tcbi_policy import retraining
 from tcbi_policy.artefact import find_policy, policy_paths
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import PolicyNotFound, TrainingError
-from tcbi_policy.retraining import Job, next_name, plan, reference_of, retrain
+from tcbi_policy.retraining import OUTCOME, Job, next_name, plan, reference_of, retrain
 
 SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
 TINY = TrainingConfig("balance", steps=320, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
@@ -61,6 +62,9 @@ def test_a_job_ends_with_a_verdict_and_only_a_better_policy_is_kept(tmp_path: Pa
     assert outcome.accepted == (next_name(tmp_path, "balance") == "balance-2")
     assert outcome.accepted == bool(outcome.reference)
     assert Path(outcome.path).exists()
+    if not outcome.accepted:
+        kept = json.loads((Path(outcome.path).parent / OUTCOME).read_text())
+        assert (kept["before"], kept["after"]) == (outcome.return_before, outcome.return_after)
 
 
 @SUBPROCESS
@@ -70,6 +74,7 @@ def test_a_hopeless_rival_is_replaced_by_a_policy_with_a_name_of_its_own(tmp_pat
     assert outcome.return_after > outcome.return_before
     policy = find_policy("balance-1", tmp_path)
     assert policy.policy_id.startswith("balance-1@")
+    assert policy.card.training["comparison"]["after"] == outcome.return_after
     assert reference_of(policy.policy_id, tmp_path) == "balance-1"
 
 
