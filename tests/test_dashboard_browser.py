@@ -97,7 +97,7 @@ def test_a_newcomer_sees_learns_adds_and_watches_the_error_fall(tmp_path, look):
         page.locator(".tcbi-verdict").wait_for()
         assert HIDDEN in page.locator(".tcbi-verdict").inner_text()
 
-        page.get_by_role("button", name=f"Add {HIDDEN} to the model").click()
+        page.get_by_role("button", name=f"Add {HIDDEN} to servo_bench-v0").click()
         page.get_by_role("button", name=f"Add {HIDDEN}", exact=True).click()
         page.get_by_text("servo_bench-v1", exact=True).first.wait_for()
         page.locator(".tcbi-job").wait_for(state="detached")

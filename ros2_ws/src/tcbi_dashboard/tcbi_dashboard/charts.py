@@ -211,8 +211,8 @@ def moment(data: Mapping[str, Any], after: str) -> Options:
         }
 
     series = [line("without it", data["before"], BLUE, [5, 3])]
-    if data["after"] is not None:
-        series.append(line(f"with {after}", data["after"], GREEN, [8, 3, 2, 3]))
+    if after in data["after"]:
+        series.append(line(f"with {after}", data["after"][after], GREEN, [8, 3, 2, 3]))
     series.append(line("measured", data["measured"], ORANGE, "solid"))
     return _frame(
         legend={"textStyle": {"color": INK}, "left": 0, "top": 0, "itemWidth": 30, "itemStyle": {"opacity": 0}},

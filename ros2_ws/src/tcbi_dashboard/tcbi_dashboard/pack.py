@@ -28,7 +28,6 @@ from tcbi_infer.compare.ladder import Rung
 from tcbi_infer.compare.locate import worst_moments
 from tcbi_infer.compare.maps import curves, heat, joint_errors, steady
 from tcbi_infer.compare.signals import JOINT
-from tcbi_infer.diagnose.evidence import Diagnosis
 from tcbi_sim.engine import SimulatedRollouts
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -211,25 +210,6 @@ def decode(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         arrays[entry["name"]] = np.frombuffer(data, "<f4", count, at).reshape(entry["shape"])
         at += 4 * count
     return header, arrays
-
-
-def moments_of(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """The worst moments of a diagnosis, before and after its best candidate."""
-    return _plain(
-        [
-            {
-                "signal": m.signal,
-                "unit": m.unit,
-                "rollout": m.rollout,
-                "time": m.time,
-                "measured": m.measured,
-                "before": m.before,
-                "after": m.after,
-                "floor": m.floor,
-            }
-            for m in diagnosis.moments
-        ]
-    )
 
 
 def _plain(value: Any) -> Any:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tcbi_dashboard.names import DIAGNOSIS, MEASURED, MOMENTS
+from tcbi_dashboard.names import MEASURED
 from tcbi_dashboard.task import ADD, COLLECT, COMPARE, DIAGNOSE, HISTORY, INFER, REMOVE, RETRAIN, Task
 from tcbi_infer.worker_process import Emit, finite, serve
 from tcbi_sim.store import ModelStore
@@ -71,8 +71,7 @@ def run_compare(task: Task, emit: Emit) -> None:
 
 
 def run_diagnose(task: Task, emit: Emit) -> None:
-    """Diagnose, remember it where the command line would, and keep its worst moments beside it."""
-    from tcbi_dashboard import pack
+    """Diagnose, and remember it where the command line would."""
     from tcbi_infer.diagnose import diagnose
     from tcbi_infer.diagnose.adopt import remember
     from tcbi_infer.diagnose.settings import QUICK, Settings
@@ -84,8 +83,6 @@ def run_diagnose(task: Task, emit: Emit) -> None:
     settings = QUICK if task.options.get("quick") else Settings()
     diagnosis = diagnose(model, measurements, settings=settings, progress=watch)
     saved = remember(diagnosis, store.folder("runs"))
-    moments = saved.with_name(saved.name.replace(DIAGNOSIS, MOMENTS))
-    moments.write_text(json.dumps(pack.moments_of(diagnosis)), encoding="utf-8")
     report = Report("What does the model lack?", f"Model {model.version}, {len(diagnosis.rollouts)} rollouts.")
     add_diagnosis(report, diagnosis)
     report.write(saved.with_suffix(".html"))
@@ -170,8 +167,7 @@ def run_infer(task: Task, emit: Emit) -> None:
         folder=store.folder("runs"),
         watch=lambda p: watch(f"generation {p.generation}", (p.generation - 1 + p.share) / p.generations),
     )
-    saved = store.save(result.updated_model())
-    posterior.write(store.models / saved.version / "posterior.nc", result)
+    saved = posterior.save(store, result)
     emit("result", model=saved.version, warnings=list(result.warnings))
 
 

@@ -65,7 +65,7 @@ class Workbench:
         return path if path.is_file() else None
 
     def moments(self, diagnosis: Path) -> list[dict[str, Any]]:
-        """The worst moments that a diagnosis of the page kept; none for one of the command line."""
+        """The worst moments of a diagnosis; none where only its JSON was brought here."""
         path = diagnosis.with_name(diagnosis.name.replace(DIAGNOSIS, MOMENTS))
         return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
 

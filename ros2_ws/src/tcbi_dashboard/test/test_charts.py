@@ -10,7 +10,7 @@ from tcbi_dashboard import charts
 ESTIMATE = {"name": "backlash.gap", "unit": "rad", "value": 0.05, "low90": 0.04, "high90": 0.06, "null": 0.0}
 CANDIDATE = {"use": "backlash", "elpd_gain": 10.0, "elpd_se": 2.0}
 MOMENT = {"signal": "lf_coxa", "unit": "deg", "time": [0.0, 0.1], "measured": [1.0, None], "before": [0.0, 0.5],
-          "after": [0.9, 1.0]}  # fmt: skip
+          "after": {"backlash": [0.9, 1.0]}}  # fmt: skip
 MASS = {"name": "mass", "unit": "kg", "low": 0.1, "high": 1.0, "scale": "linear"}
 MADE = {
     "over_floor": charts.over_floor({"lf_coxa": 3.0, "roll": math.nan}),

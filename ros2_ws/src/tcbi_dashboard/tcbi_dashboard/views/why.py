@@ -34,6 +34,7 @@ class WhyView(View):
     def __init__(self, session: Session, live: Live) -> None:
         super().__init__(session)
         self.live = live
+        self.found: dict[str, Any] | None = None
 
     def build(self) -> None:
         """The choice above, the verdict below."""
@@ -42,7 +43,7 @@ class WhyView(View):
             with ui.element("div").classes("tcbi-row"):
                 ui.button("Diagnose", on_click=lambda: self.diagnose(False), icon="search").mark("diagnose")
                 quick = ui.button("Quick look", on_click=lambda: self.diagnose(True)).props("outline")
-                quick.tooltip("coarser steps, two full fits, nothing sealed").mark("quick")
+                quick.tooltip("a first answer: fewer candidates fitted, no motion kept aside for the end").mark("quick")
             soft("Every effect of the library is fitted and judged on motions that the fit has not seen.")
         self.result = ui.element("div").classes("tcbi-grid")
 
@@ -54,6 +55,8 @@ class WhyView(View):
         """Twice a second while it is seen."""
         self.picker.refresh()
         super().tick()
+        if self.found:
+            self._tell_choice(self.found)
 
     def diagnose(self, quick: bool) -> None:
         """Start a diagnosis."""
@@ -67,7 +70,7 @@ class WhyView(View):
     def refresh(self) -> None:
         """Show the newest diagnosis."""
         path = self.bench.diagnosis()
-        found = read(path)
+        found = self.found = read(path)
         self.result.clear()
         with self.result:
             if found is None and not self.bench.catalogue.entries:
@@ -89,14 +92,25 @@ class WhyView(View):
                 self._untestable(found)
 
     def _verdict(self, d: dict[str, Any]) -> None:
-        with card(d.get("headline", "Diagnosis")):
+        with card(f"{d.get('headline', 'Diagnosis')} ({d['model']})"):
             words(d["statement"], "p", f"tcbi-verdict {TONES.get(d['verdict'], '')}").mark("verdict")
             notes([*d.get("guards", ()), *d.get("claims", ())])
             if d.get("uses"):
                 use = d["uses"][0]
-                ui.button(f"Add {use} to the model", on_click=lambda: self.session.go_to("Add")).style(
+                ui.button(f"Add {use} to {d['model']} …", on_click=lambda: self.session.go_to("Add")).style(
                     "align-self: start"
                 ).mark("go-add")
+            self.other = soft("")
+            self._tell_choice(d)
+
+    def _tell_choice(self, d: dict[str, Any]) -> None:
+        """Say it where the choice above is not what the verdict is about."""
+        chosen, model = {e.rollout_id for e in self.session.rollouts()}, self.session.version()
+        differs = [f"the model chosen above is {model}"] if model != d["model"] else []
+        if chosen != set(d["rollouts"]):
+            differs.append(f"of the {len(chosen)} rollouts chosen above {len(chosen & set(d['rollouts']))} were used")
+        about = f"This verdict is about {d['model']} and {len(d['rollouts'])} rollouts"
+        self.other.set_content(f"{about}; {' and '.join(differs)}." if differs else "")
 
     def _next(self, d: dict[str, Any]) -> None:
         motions = next_motions.motions(d)
@@ -196,12 +210,25 @@ class WhyView(View):
             soft(f"Dot: fitted value; bar: 90 % interval{'; cross: where the effect would vanish' * crosses}.")
 
     def _moments(self, d: dict[str, Any], moments: list[dict[str, Any]]) -> None:
-        best = d["ranking"][0]["use"] if d["ranking"] else ""
-        for moment in moments[:4]:
-            with card(f"{moment['signal']} before and after", "half"):
-                chart(charts.moment(moment, best), 280)
-                fitted = "this motion" if d["nothing_held_out"] else "other kinds of motion than this"
-                soft(f"Rollout {moment['rollout']}; both were fitted to {fitted}.")
+        if not moments or not isinstance(moments[0]["after"], dict):
+            return
+        uses = [e["use"] for e in d["ranking"] if e["use"] in moments[0]["after"]]
+        with card("What an effect would change"), ui.element("div").classes("tcbi-row"):
+            soft("The worst moments of the model, with and without")
+            chosen = ui.select(uses, value=uses[0], label="effect").props("outlined dense options-dense")
+        place = ui.element("div").classes("tcbi-grid")
+
+        def draw() -> None:
+            place.clear()
+            with place:
+                for moment in moments[:4]:
+                    with card(f"{moment['signal']} before and after", "half"):
+                        chart(charts.moment(moment, chosen.value), 280)
+                        fitted = "this motion" if d["nothing_held_out"] else "other kinds of motion than this"
+                        soft(f"Rollout {moment['rollout']}; both were fitted to {fitted}.")
+
+        chosen.on_value_change(draw)
+        draw()
 
     def _untestable(self, d: dict[str, Any]) -> None:
         shown = [s for s in d.get("detectable", ()) if s["value"] is not None]

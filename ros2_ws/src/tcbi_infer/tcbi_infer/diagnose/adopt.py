@@ -18,6 +18,7 @@ from tcbi_sim.model import Model
 
 PARTICLES = 200
 PREFIX = "diagnosis-"
+MOMENTS = "moments-"  # the worst moments of the diagnosis of the same name
 
 
 def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -> Model:
@@ -74,7 +75,7 @@ def fit_effect(model: Model, use: str, measurements: Sequence[Measurement], **op
 
 
 def remember(diagnosis: Diagnosis, folder: Path) -> Path:
-    """Write a diagnosis beside the others; returns its path.
+    """Write a diagnosis, and its worst moments, beside the others; returns its path.
 
     Raises:
       InferError: the folder cannot be written.
@@ -83,9 +84,14 @@ def remember(diagnosis: Diagnosis, folder: Path) -> Path:
     path = folder / f"{PREFIX}{diagnosis.model}-{stamp}.json"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        work = path.with_suffix(".part")
-        work.write_text(json.dumps(diagnosis.to_json(), indent=1) + "\n")
-        os.replace(work, path)
+        moments = path.with_name(path.name.replace(PREFIX, MOMENTS))
+        for place, text in (
+            (moments, json.dumps(diagnosis.moments_json())),
+            (path, json.dumps(diagnosis.to_json(), indent=1) + "\n"),
+        ):
+            work = place.with_suffix(".part")
+            work.write_text(text)
+            os.replace(work, place)
     except OSError as e:
         raise InferError(f"cannot write {path}: {e.strerror}; free space or choose --store") from e
     return path

@@ -239,7 +239,7 @@ class _Run:
             guards=tuple(guard(self.measurements)),
             claims=tuple(self._claims(kinds, sealed, null)),
             base=judge.evidence("", before, before, drift),
-            moments=tuple(judge.moments(before, after[best.use])) if best else (),
+            moments=tuple(judge.moments(before, after)),
             false_alarms=false_alarms(null),
             detectable=detectable,
             next_motions=self._next_motions(ruling, before, after, detectable),

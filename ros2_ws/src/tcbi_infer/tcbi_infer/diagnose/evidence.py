@@ -88,7 +88,7 @@ class Moment:
     time: np.ndarray  # s
     measured: np.ndarray
     before: np.ndarray  # base model
-    after: np.ndarray | None  # with the best candidate
+    after: dict[str, np.ndarray]  # with each candidate that got a full fit
     floor: float
 
 
@@ -171,7 +171,7 @@ class Diagnosis:
       threshold: of the statistic, from simulations of "nothing missing".
       errors: the ladder: label -> error over noise floor, on rollouts that no fit saw.
       untestable: uses that change nothing in these rollouts.
-      moments: where the base model fails worst, with and without the best candidate.
+      moments: where the base model fails worst, with and without the candidates.
       claims: caveats in sentences: how the data were split, what no claim is made about.
       false_alarms: how often the search alone raises one, as simulated for this robot and these rollouts.
       detectable: the smallest size of each effect that these rollouts could have shown, or why none.
@@ -199,6 +199,10 @@ class Diagnosis:
     detectable: tuple[DetectableSize, ...] = ()
     next_motions: tuple[NextMotion, ...] = ()
 
+    def moments_json(self) -> list[dict[str, Any]]:
+        """The moments, to five digits."""
+        return [_short(_plain(moment)) for moment in self.moments]
+
     @property
     def headline(self) -> str:
         """The verdict in a few words, no surer than the statement: what was not accepted may be missing, no more."""
@@ -223,6 +227,15 @@ class Diagnosis:
             "headline": self.headline, "nothing_held_out": self.nothing_held_out,
             **fields, "ranking": ranking, "base": self.base.to_json(),
         })  # fmt: skip
+
+
+def _short(value: Any) -> Any:
+    """Plain values with numbers of five digits."""
+    if isinstance(value, dict):
+        return {k: _short(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_short(v) for v in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def step_label(name: str) -> str:

@@ -6,7 +6,7 @@ judge.evidence("backlash", after, before, drift)
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -121,8 +121,10 @@ class Judge:
             spread=tuple(tuple(float(x) for x in row) for row in covariance),
         )
 
-    def moments(self, before: Judged, after: Judged, count: int = 4, span_s: float = 1.5) -> list[Moment]:
-        """Where the base model fails worst on held-out motions, with and without an effect."""
+    def moments(
+        self, before: Judged, after: Mapping[str, Judged], count: int = 4, span_s: float = 1.5
+    ) -> list[Moment]:
+        """Where the base model fails worst on held-out motions, with and without each of some uses."""
         layout, residual = self.replay.layout, before.held.residual
         span = round(span_s * layout.rate)
         found = []
@@ -138,7 +140,7 @@ class Judge:
                     self.replay.time[cut],
                     observed,
                     observed - residual[s, cut, c],
-                    observed - after.held.residual[s, cut, c],
+                    {use: observed - judged.held.residual[s, cut, c] for use, judged in after.items()},
                     float(self.floor.values[c]),
                 )
             )

@@ -111,7 +111,8 @@ def _moments(d: Diagnosis) -> Section:
     for m in d.moments:
         half = 1.645 * m.floor
         svg = plots.overlay(
-            m.time, m.measured, m.before, m.before - half, m.before + half, f"{m.signal} / {m.unit}", m.after
+            m.time, m.measured, m.before, m.before - half, m.before + half, f"{m.signal} / {m.unit}",
+            m.after.get(d.ranking[0].use),
         )
         figures.append(Figure(svg, f"{m.signal} in rollout {m.rollout}."))
     return Section(
