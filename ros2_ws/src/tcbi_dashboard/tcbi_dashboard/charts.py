@@ -10,6 +10,7 @@ from typing import Any
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#8c949e"  # Okabe and Ito
 INK = "#7b838c"  # stands out from both the light and the dark page
 SCALE = ["#00224e", "#2a3f6d", "#575d6d", "#7d7c78", "#a69d75", "#d3c064", "#fee838"]  # cividis
+MOST_LABELS = 8  # that a phone has room for
 Options = dict[str, Any]
 
 
@@ -59,22 +60,27 @@ def with_unit(name: str, unit: str) -> str:
     return f"{name} / {unit}" if unit not in ("", "1") else name
 
 
-def over_floor(errors: Mapping[str, float | None]) -> Options:
-    """Error over the noise floor of every signal, the floor as a line."""
-    names = list(errors)
+def over_floor(errors: Mapping[str, Mapping[str, float | None]]) -> Options:
+    """Error over the noise floor of every signal, of one model or two; the floor as a line."""
+    names = list(next(iter(errors.values())))
+    bars = [
+        {
+            "name": model,
+            "type": "bar",
+            "data": [_rounded(own.get(n)) for n in names],
+            "itemStyle": {"color": color},
+            "barMaxWidth": 14,
+        }
+        for (model, own), color in zip(errors.items(), (BLUE, GREEN), strict=False)
+    ]
+    bars[0]["markLine"] = _line_at_one("xAxis")
+    legend = {"legend": {"textStyle": {"color": INK}, "left": 0, "top": 0}} if len(bars) > 1 else {}
     return _frame(
         grid=_beside(names),
         xAxis=_axis("error / noise floor", type="value", min=0),
         yAxis=_axis(type="category", data=names, inverse=True),
-        series=[
-            {
-                "type": "bar",
-                "data": [_rounded(errors[n]) for n in names],
-                "itemStyle": {"color": BLUE},
-                "barMaxWidth": 14,
-                "markLine": _line_at_one("xAxis"),
-            }
-        ],
+        series=bars,
+        **legend,
     )
 
 
@@ -98,7 +104,7 @@ def heat(joints: Sequence[str], phases: Sequence[str], values: Sequence[Sequence
     top = max((c[2] for c in cells if c[2] is not None), default=2.0)
     said = "(p) => `${p.name}: ${p.marker}${Number(p.value[2]).toPrecision(2)} × noise floor`"
     return _frame(
-        grid=_beside(joints, right=16, bottom=130),
+        grid=_beside(joints, right=16, bottom=160),
         xAxis=_axis(type="category", data=list(phases), axisLabel={"color": INK, "rotate": 35, "interval": 0}),
         yAxis=_axis(type="category", data=list(joints), inverse=True, axisLabel={"color": INK, "interval": 0}),
         tooltip={"confine": True, ":formatter": said},
@@ -223,30 +229,65 @@ def moment(data: Mapping[str, Any], after: str) -> Options:
     )
 
 
-def history(versions: Sequence[str], errors: Sequence[float | None]) -> Options:
-    """The error of each version, falling towards the noise floor."""
+def history(errors: Mapping[str, float | None], parents: Mapping[str, str | None]) -> Options:
+    """The error of each version, joined with that of the version it was made from; a dash for one without a figure."""
+    names = list(errors)
+    at = {name: i for i, name in enumerate(names)}
+    labels = []
+    for i, name in enumerate(names):
+        parent = parents.get(name)
+        from_where = f"\nfrom {_short(parent)}" if parent and at.get(parent) != i - 1 else ""
+        labels.append(f"{_short(name)}{from_where}" + ("" if errors[name] is not None else "\n–"))
+    edges = [
+        [[at[parent], _rounded(errors[parent])], [at[name], _rounded(error)]]
+        for name, error in errors.items()
+        if error is not None and (parent := parents.get(name)) and errors.get(parent) is not None
+    ]
+    few = len(names) <= MOST_LABELS
     return _frame(
-        xAxis=_axis(type="category", data=list(versions)),
+        grid={"left": 62, "right": 24, "top": 34, "bottom": 64},
+        tooltip={"confine": True, ":formatter": "(p) => `${p.name}: ${Number(p.value[1]).toPrecision(3)} × floor`"},
+        xAxis=_axis(
+            type="category",
+            data=labels,
+            axisLabel={"color": INK, "fontSize": 13, "hideOverlap": not few, "interval": 0 if few else "auto"},
+        ),
         yAxis=_axis("error / noise floor", type="value", min=0, nameGap=36),
         series=[
+            *(
+                {
+                    "type": "line",
+                    "data": ends,
+                    "symbol": "none",
+                    "lineStyle": {"color": BLUE, "width": 2.5},
+                    "silent": True,
+                    "tooltip": {"show": False},
+                }
+                for ends in edges
+            ),
             {
-                "type": "line",
-                "data": [_rounded(e) for e in errors],
-                "connectNulls": True,
-                "symbol": "circle",
+                "type": "scatter",
+                "data": [
+                    {"name": n, "value": [i, _rounded(errors[n])]} for n, i in at.items() if errors[n] is not None
+                ],
                 "symbolSize": 10,
-                "lineStyle": {"color": BLUE, "width": 2.5},
                 "itemStyle": {"color": BLUE},
                 "label": {
                     "show": True,
+                    "position": "top",
                     "color": INK,
                     "fontSize": 14,
-                    ":formatter": "(p) => Number(p.value).toPrecision(2)",
+                    ":formatter": "(p) => Number(p.value[1]).toPrecision(2)",
                 },
                 "markLine": _line_at_one("yAxis"),
-            }
+            },
         ],
     )
+
+
+def _short(version: str) -> str:
+    """The number of a version, which tells it from the others of its rig."""
+    return f"v{version.rpartition('-v')[2]}"
 
 
 def ladder(errors: Mapping[str, float]) -> Options:

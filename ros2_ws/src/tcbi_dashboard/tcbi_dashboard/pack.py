@@ -105,7 +105,13 @@ def _summary(c: Comparison, also: Comparison | None) -> dict[str, Any]:
         "steady": steady(c),
         "curves": [{"condition": k.condition, "unit": k.unit, "middle": k.middle, "error": k.error} for k in curves(c)],
         "moments": _moments(c),
-        "also": None if also is None else {"model": also.model, "error_over_floor": also.error_over_floor},
+        "also": None
+        if also is None
+        else {
+            "model": also.model,
+            "error_over_floor": also.error_over_floor,
+            "ratios": {s.name: s.ratio for s in also.signals},
+        },
     }
 
 

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from nicegui import ui
 
@@ -11,9 +11,10 @@ from tcbi_dashboard.session import Session
 from tcbi_infer.bags.glance import Glance
 
 COLUMNS = {
-    "when": "recorded",
-    "rollout": "rollout",
     "policy": "motion",
+    "when": "recorded",
+    "seen": "seen by the fit of",
+    "rollout": "rollout",
     "task": "task",
     "source": "from",
     "slope": "slope / deg",
@@ -66,14 +67,18 @@ class Picker:
     def open(self) -> None:
         """The list of all rollouts."""
         entries = self.session.bench.catalogue.entries
-        rows = [row(e) for e in entries]
+        seen = self.session.seen_by()
+        rows = [row(e, seen.get(e.rollout_id, ())) for e in entries]
         chosen = {str(e.path) for e in self.session.rollouts()}
         columns = [
             {"name": c, "label": label, "field": c, "sortable": True, "align": "left"} for c, label in COLUMNS.items()
         ]
-        with ui.dialog() as dialog, ui.element("div").classes("tcbi-card").style("max-width: 1000px; width: 96vw"):
+        with ui.dialog() as dialog, ui.element("div").classes("tcbi-card").style("max-width: 1240px; width: 96vw"):
             words("Rollouts", "h2")
-            soft("A diagnosis needs several kinds of motion, five or more at best, each recorded twice.")
+            soft(
+                "A diagnosis needs several kinds of motion, five or more at best, each recorded twice. A version is "
+                "judged on rollouts that its fit has not seen."
+            )
             buttons = ui.element("div").classes("tcbi-row")
             grid = (
                 ui.table(columns=columns, rows=rows, row_key="path", selection="multiple", pagination=12)
@@ -122,13 +127,14 @@ def matching(rows: list[dict], text: str | None) -> list[dict]:
     return [r for r in rows if any(wanted in str(r[column]).lower() for column in COLUMNS)]
 
 
-def row(entry: Glance) -> dict:
-    """One line of the list."""
-    when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry.started)) if entry.started else "–"
+def row(entry: Glance, seen: Sequence[str]) -> dict:
+    """One line of the list; `seen` are the versions that were fitted to it."""
+    when = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.started)) if entry.started else "–"
     slope = math.degrees(math.hypot(entry.slope_roll, entry.slope_pitch))
     return {
         "path": str(entry.path),
         "when": when,
+        "seen": ", ".join(seen) or "–",
         "rollout": entry.rollout_id,
         "policy": entry.policy_id or "–",
         "task": entry.problem or entry.task or "–",

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from tcbi_dashboard.workbench import Workbench
 from tcbi_infer.bags.glance import Glance
+from tcbi_infer.seen import used_before
 
 FIRST_CHOICE = 40  # rollouts chosen at first, the newest ones
 RIG = "hexapod"
@@ -48,6 +49,14 @@ class Session:
     def versions(self) -> list[str]:
         """Versions of that rig's model, oldest first."""
         return self.bench.store.versions(self.rig())
+
+    def seen_by(self) -> dict[str, list[str]]:
+        """The versions that were fitted to a rollout, by its id."""
+        seen: dict[str, list[str]] = {}
+        for model in self.bench.store.history(self.rig()):
+            for rollout in used_before(model):
+                seen.setdefault(rollout, []).append(model.version)
+        return seen
 
     def version(self) -> str:
         """The version chosen; the newest unless one is."""

@@ -50,6 +50,7 @@ class CompareView(View):
     def __init__(self, session: Session) -> None:
         super().__init__(session)
         self.player: Player | None = None
+        self.found: dict[str, Any] | None = None
 
     def build(self) -> None:
         """The choice above, the result below."""
@@ -71,6 +72,8 @@ class CompareView(View):
         if others != self.also.options:
             self.also.set_options(others, value=self.also.value if self.also.value in others else NOTHING)
         super().tick()
+        if self.found:
+            self._tell_choice(self.found)
         if self.session.place and self.player:
             place, self.session.place = self.session.place, None
             self.rollout.set_value(place.rollout)
@@ -90,7 +93,7 @@ class CompareView(View):
     def refresh(self) -> None:
         """Show the newest comparison."""
         folder = self.bench.comparison()
-        found = summary_of(folder)
+        found = self.found = summary_of(folder)
         self.result.clear()
         self.player = None
         with self.result:
@@ -108,13 +111,23 @@ class CompareView(View):
         with card(width="third"):
             words(charts.number(c["error_over_floor"], 2), "div", "tcbi-figure").mark("error")
             words(f"times the noise floor: {c['model']} on {len(c['rollouts'])} rollouts, joints and attitude")
+            if any(rung["model"] == c["model"] and rung["fitted_here"] for rung in c.get("ladder", ())):
+                soft(f"{c['model']} was fitted to some of these, so this is no test of it.")
             if c["also"]:
                 words(f"{c['also']['model']}: {charts.number(c['also']['error_over_floor'], 2)} times")
+            self.other = soft("")
+            self._tell_choice(c)
         with card(width="two-thirds"):
             soft(c["floor_statement"])
             notes(c["guards"])
             if not c["guards"]:
                 soft("Clock, rate, lag and order of joints of these recordings show nothing unusual.")
+
+    def _tell_choice(self, c: dict[str, Any]) -> None:
+        """Say it where the choice above is not what is shown."""
+        same = {e.rollout_id for e in self.session.rollouts()} == set(c["rollouts"])
+        changed = not same or self.session.version() != c["model"]
+        self.other.set_content("The choice above is another one; press Compare to see it." if changed else "")
 
     def _motion(self, c: dict[str, Any], folder: str) -> None:
         each = {i: f"{e['rollout']} · {e['policy']} · {charts.number(e['error_over_floor'], 2)} × floor"
@@ -142,9 +155,11 @@ class CompareView(View):
             soft("The band holds 90 % of what the model says would be measured. Click a signal to go to that time.")
 
     def _signals(self, c: dict[str, Any]) -> None:
-        ratios = {s["name"]: s["ratio"] for s in c["signals"]}
+        ratios = {c["model"]: {s["name"]: s["ratio"] for s in c["signals"]}}
+        if c["also"] and "ratios" in c["also"]:
+            ratios[c["also"]["model"]] = c["also"]["ratios"]
         with card("Every signal"):
-            chart(charts.over_floor(ratios), 94 + 17 * len(ratios))
+            chart(charts.over_floor(ratios), 120 + 17 * len(ratios) * len(c["signals"]))
             with ui.expansion("in figures").style("width: 100%"):
                 columns = {"name": "signal", "unit": "unit", "error": "error", "noise_floor": "noise floor",
                            "ratio": "error / floor", "coverage90": "inside 90 % band"}  # fmt: skip

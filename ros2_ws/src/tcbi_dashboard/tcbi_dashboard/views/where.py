@@ -70,7 +70,7 @@ class WhereView(View):
     def _heat(self, c: dict[str, Any]) -> None:
         heat = c["heat"]
         with card("Joint and phase of the motion"):
-            made = chart(charts.heat(heat["joints"], heat["phases"], heat["values"]), 190 + 22 * len(heat["joints"]))
+            made = chart(charts.heat(heat["joints"], heat["phases"], heat["values"]), 220 + 22 * len(heat["joints"]))
             made.on_point_click(lambda e: self._show_cell(heat, *e.data[:2]))
             soft(
                 "Root mean square error in multiples of the noise floor. Click a cell to see where that joint's error "

@@ -70,7 +70,7 @@ def label(model: Model, before: Model | None) -> str:
     removed = [e for e in before.effects if e not in model.effects]
     words = [f"with {', '.join(added)}"] if added else []
     words += [f"without {', '.join(removed)}"] if removed else []
-    return f"{model.version}: {', '.join(words) or 'parameters only'}"
+    return f"{model.version}: {', '.join(words) or 'other parameter values'}"
 
 
 def unexplained(error_over_floor: float) -> float:

@@ -114,7 +114,7 @@ def told(rungs: Sequence[Rung]) -> str:
         return f"{rungs[-1].model} predicts these rollouts worse than {rungs[0].model}."
     return (
         f"From {rungs[0].model} to {rungs[-1].model}, {100 * share:.0f} % of the squared error beyond the noise floor "
-        f"has gone; {100 * (1 - share):.0f} % is left unexplained."
+        f"has gone; {100 * (1 - share):.0f} % of it remains."
     )
 
 
