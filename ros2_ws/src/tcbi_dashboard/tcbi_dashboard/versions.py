@@ -1,60 +1,72 @@
 """What the Add view tells of the store's versions: read in a thread, since its libraries take a second to load."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tcbi_dashboard.error_line import ErrorLine, error_line, made_before
 from tcbi_dashboard.names import MEASURED
+from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
 DRAWS = 300
+TECHNICAL = ("without samples", "the same in every sample", "closed loop", "resumed")  # notes that few readers need
+MADE = {"diagnosis": "added", "remove": "effect removed", "built in": "built in", "prior": "nothing fitted"}
 
 
-def errors(store: ModelStore, rig: str) -> list[dict[str, Any]]:
-    """Each version with its error: as last measured on unseen rollouts, else as its diagnosis kept it."""
-    from tcbi_infer.compare.history import history
-
+def errors(store: ModelStore, rig: str) -> tuple[ErrorLine, dict[str, tuple[tuple[str, ...], str]]]:
+    """The errors of a rig's versions from one source, and of each version its effects and how it was made."""
     models = store.history(rig)
-    measured = _measured(store.root / "runs" / f"{MEASURED}{rig}.json")
-    lines = []
-    for line, model in zip(history(models), models, strict=True):
-        last = measured.get(line.model)
-        evidence = model.evidence
-        inference = evidence.get("inference")
-        lines.append(
-            {
-                "model": line.model,
-                "parent": line.parent,
-                "effects": list(line.effects),
-                "error": last["error_over_floor"] if last else line.error_over_floor,
-                "rollouts": len(last["rollouts"]) if last else 0,
-                "made": evidence.get("kind") or ("inference" if inference else "prior" if line.parent else "built in"),
-                "accepted": evidence.get("accepted"),
-                "created": model.created,
-                "mean": {p.name: (float(v), p.unit) for p, v in zip(model.parameters, model.mean(), strict=True)},
-            }
-        )
-    return lines
+    line = error_line(models, _measured(store.root / "runs" / f"{MEASURED}{rig}.json"))
+    return line, {m.version: (m.effects, _made(m)) for m in models}
 
 
-def _measured(path: Path) -> dict[str, dict[str, Any]]:
-    """The lines of the last measurement, by version; none where it was on no unseen rollout."""
+def _made(model: Model) -> str:
+    kind = kind_of(model)
+    parent = f" from {model.parent}" if model.parent else ""
+    guess = ", not accepted: a guess" if kind == "diagnosis" and model.evidence.get("accepted") is False else ""
+    return f"{MADE.get(kind, kind)}{parent}{guess}"
+
+
+def kind_of(model: Model) -> str:
+    """What made a version: diagnosis, inference, remove, prior, or built in."""
+    return model.evidence.get("kind") or (
+        "inference" if model.evidence.get("inference") else "prior" if model.parent else "built in"
+    )
+
+
+def _measured(path: Path) -> dict[str, Any] | None:
+    """The last measurement of all versions; None without one."""
     try:
-        lines = json.loads(path.read_text(encoding="utf-8"))["lines"]
-    except (OSError, ValueError, KeyError):
-        return {}
-    return {line["model"]: line for line in lines if line["rollouts"]}
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return found if {"lines", "given"} <= set(found) else None
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def already(store: ModelStore, diagnosis: Mapping[str, Any], use: str) -> tuple[list[str], list[str]]:
+    """Versions that have this effect added already: from this diagnosis, and from others of the same version."""
+    rig = diagnosis["model"].rpartition("-v")[0]
+    return made_before(store.history(rig), diagnosis, use)
 
 
 def posterior(store: ModelStore, version: str) -> dict[str, Any]:
-    """Draws of a version's parameters, what the data tell of each, and how the inference came to it."""
+    """A version's parameters, what the data tell of each, draws of them, and how an inference came to it."""
+    from tcbi_infer.compare.versions import intervals
+
     model = store.load(version)
-    draws = model.sample(np.random.default_rng(0), DRAWS)
-    told = {p["name"]: p for p in (model.evidence.get("inference") or {}).get("parameters", [])}
+    tells = _tells(store, model)
+    known = intervals(model)
+    inference = model.evidence.get("inference") or {}
+    warnings = inference.get("warnings", [])
     return {
         "version": version,
+        "origin": origin(model),
+        "notes": [w for w in warnings if not w.startswith(TECHNICAL)],
+        "technical": [w for w in warnings if w.startswith(TECHNICAL)],
         "parameters": [
             {
                 "name": p.name,
@@ -62,20 +74,85 @@ def posterior(store: ModelStore, version: str) -> dict[str, Any]:
                 "low": p.low,
                 "high": p.high,
                 "scale": p.scale,
-                "identified": told.get(p.name, {}).get("identified"),
-                "mean": float(m),
-                "low90": float(np.quantile(column, 0.05)),
-                "high90": float(np.quantile(column, 0.95)),
+                "tells": tells.get(p.name, "its prior"),
+                "mean": known[p.name].mean,
+                "low90": known[p.name].low90,
+                "high90": known[p.name].high90,
             }
-            for p, m, column in zip(model.parameters, model.mean(), draws.T, strict=True)
+            for p in model.parameters
         ],
-        "draws": draws.tolist(),
-        "generations": generations(store.models / version / "posterior.nc"),
+        "draws": model.sample(np.random.default_rng(0), DRAWS).tolist(),
+        "generations": generations(store, model),
     }
 
 
-def generations(path: Path) -> dict[str, Any] | None:
+def origin(model: Model) -> str:
+    """What a version's distribution rests on, in a sentence or two; names the prior."""
+    e, kind = model.evidence, kind_of(model)
+    if kind == "inference":
+        i = e["inference"]
+        prior = i.get("prior", model.parent)  # versions of before do not say: the page and the demo went on from there
+        before = "flat over each parameter's range" if prior == "flat" else f"what {prior} says"
+        fits = i.get("fits", not any(w.startswith("no parameters reproduce") for w in i["warnings"]))
+        poorly = "" if fits else " No parameter is called told, since the model fits poorly."
+        return (
+            f"Inferred from {_count(i['rollouts'])} by the method {i['method']}, with {i['ess']:.0f} effective "
+            f"particles; its prior is {before}.{poorly}"
+        )
+    if kind == "diagnosis":
+        beside = f"with {e['use']}" if e.get("use") else "without a new effect"
+        return (
+            f"Fitted {beside} by a diagnosis of {model.parent}, to {_count(e.get('rollouts', ()))}. Its intervals are "
+            "those of a fit, which are too narrow (docs/diagnosis.md)."
+        )
+    if kind == "remove":
+        return e["statement"]
+    return "Nothing was fitted: this is the prior."
+
+
+def _tells(store: ModelStore, model: Model) -> dict[str, str]:
+    """For each parameter what the data tell of it, beside what was known before; nothing where nothing was fitted."""
+    from tcbi_infer.compare.versions import compare_versions
+
+    kind = kind_of(model)
+    if kind == "inference":
+        return {p["name"]: _verdict(p) for p in model.evidence["inference"]["parameters"]}
+    if model.parent not in store.versions(model.rig):
+        return {}
+    parent = store.load(model.parent or "")
+    if kind == "remove":
+        return {name: f"kept from {parent.version}" for name in model.names}
+    if kind != "diagnosis":
+        return {name: f"kept from {parent.version}" for name in parent.names}
+    changes = {c.name: c for c in compare_versions(parent, model).parameters}
+    return {
+        name: f"fitted; interval {changes[name].width_ratio:.0%} as wide as in {parent.version}"
+        if changes[name].width_ratio is not None
+        else "fitted, new here"
+        for name in model.names
+    }
+
+
+def _verdict(p: Mapping[str, Any]) -> str:
+    """Of one inferred parameter; the variances are on the parameter's own scale."""
+    variance = f"variance {p['variance_ratio']:.0%} of its prior's"
+    if p["identified"]:
+        return f"yes: {variance}"
+    return f"not surely: {variance}" if p["variance_ratio"] < 0.5 else f"little: {variance}"
+
+
+def _count(rollouts: Any) -> str:
+    return f"{len(rollouts)} rollout{'s' * (len(rollouts) != 1)}"
+
+
+def generations(store: ModelStore, model: Model) -> dict[str, Any] | None:
     """Mean and standard deviation of each parameter over the generations; None for a version not inferred."""
+    if kind_of(model) != "inference":
+        return None
+    return _saved_generations(store.models / model.version / "posterior.nc") or _run_generations(store, model)
+
+
+def _saved_generations(path: Path) -> dict[str, Any] | None:
     import h5py
 
     if not path.is_file():
@@ -85,13 +162,31 @@ def generations(path: Path) -> dict[str, Any] | None:
         if group is None:
             return None
         names = [n.decode() if isinstance(n, bytes) else str(n) for n in group["parameter"][()]]
-        mean, variance = group["mean"][()], group["variance"][()]
-        return {
-            "number": [int(g) for g in group["generation"][()]],
-            "mean": {n: mean[:, i].tolist() for i, n in enumerate(names)},
-            "sd": {n: np.sqrt(variance[:, i]).tolist() for i, n in enumerate(names)},
-            "ess": [float(e) for e in group["ess"][()]],
-        }
+        number = [int(g) for g in group["generation"][()]]
+        return _over_generations(number, names, group["mean"][()], group["variance"][()])
+
+
+def _run_generations(store: ModelStore, model: Model) -> dict[str, Any] | None:
+    """From the run that ended with this version's means: versions of before do not hold their generations."""
+    found = model.evidence["inference"]
+    names, means = [p["name"] for p in found["parameters"]], [p["mean"] for p in found["parameters"]]
+    for path in sorted(store.root.glob(f"runs/infer-{found['method']}-*/generations.json")):
+        try:
+            rows = json.loads(path.read_text(encoding="utf-8"))
+            if np.shape(rows[-1]["mean"]) == np.shape(means) and np.allclose(rows[-1]["mean"], means, rtol=1e-9):
+                mean, variance = (np.array([r[key] for r in rows]) for key in ("mean", "variance"))
+                return _over_generations([r["generation"] for r in rows], names, mean, variance)
+        except (OSError, ValueError, KeyError, IndexError, TypeError):
+            continue
+    return None
+
+
+def _over_generations(number: list[int], names: list[str], mean: np.ndarray, variance: np.ndarray) -> dict[str, Any]:
+    return {
+        "number": number,
+        "mean": {n: mean[:, i].tolist() for i, n in enumerate(names)},
+        "sd": {n: np.sqrt(variance[:, i]).tolist() for i, n in enumerate(names)},
+    }
 
 
 def difference(store: ModelStore, before: str, after: str) -> dict[str, Any]:

@@ -124,14 +124,23 @@ def run_remove(task: Task, emit: Emit) -> None:
 def run_history(task: Task, emit: Emit) -> None:
     """Every version's error, on the rollouts given that no fit has seen."""
     from tcbi_infer.compare.history import history
+    from tcbi_infer.errors import InferError
     from tcbi_infer.report import Report, add_history, file_name
+    from tcbi_infer.seen import used_before
 
     watch, store = Watch(emit), ModelStore(task.store)
     measurements = read(task.bags, watch)
     rig = measurements[0].rig
     versions = store.history(rig)
-    watch(f"replaying {len(measurements)} rollouts in {len(versions)} versions")
-    lines = history(versions, measurements)
+    seen = {r for v in versions for r in used_before(v)}
+    unseen = [m for m in measurements if m.rollout_id not in seen]
+    if not unseen:
+        raise InferError(
+            f"a fit has seen each of the {len(measurements)} rollouts chosen, so no version can be judged on them; "
+            "record new ones, or choose others"
+        )
+    watch(f"replaying {len(unseen)} rollouts in {len(versions)} versions")
+    lines = history(versions, unseen)
     nan = float("nan")
     rows = [
         (v.model, v.parent or "–", ", ".join(v.effects) or "none",
@@ -141,7 +150,12 @@ def run_history(task: Task, emit: Emit) -> None:
     report = Report("Model versions", "The error of each version on rollouts that no fit has seen.")
     add_history(report, rows, lines[0].floor_from_replicates)
     report.write(store.folder("reports") / file_name("history", versions[-1].version, lines[0].rollouts))
-    content = {"rig": rig, "given": len(measurements), "lines": [dataclasses.asdict(v) for v in lines]}
+    content = {
+        "rig": rig,
+        "given": len(measurements),
+        "not_counted": [m.rollout_id for m in measurements if m.rollout_id in seen],
+        "lines": [dataclasses.asdict(v) for v in lines],
+    }
     path = store.folder("runs") / f"{MEASURED}{rig}.json"
     work = path.with_suffix(".part")
     work.write_text(json.dumps(finite(content)), encoding="utf-8")

@@ -1,22 +1,25 @@
-"""Add and watch: one button adds an effect, the error falls version by version; undo, differences, posteriors."""
+"""Add and watch: one button adds an effect, each version's error beside its parent's; undo, differences, posteriors."""
 
 import asyncio
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 from nicegui import ui
 
 from tcbi_contract.errors import TcbiError
 from tcbi_dashboard import charts, task, versions
-from tcbi_dashboard.elements import card, chart, empty, soft, table, words
+from tcbi_dashboard.ask import ask
+from tcbi_dashboard.elements import card, chart, empty, notes, soft, words
+from tcbi_dashboard.error_line import ErrorLine
 from tcbi_dashboard.live import Live
 from tcbi_dashboard.picker import Picker
 from tcbi_dashboard.session import Session
 from tcbi_dashboard.views.base import View
+from tcbi_dashboard.views.parameters import show_difference, show_posterior
 from tcbi_dashboard.views.retrain import RetrainCard
 from tcbi_dashboard.views.why import read
 
-SHOWN_PAIRS = 6
+NAMED_ROLLOUTS = 12  # of those a measurement used, on the page
 
 
 class AddView(View):
@@ -24,6 +27,7 @@ class AddView(View):
 
     def __init__(self, session: Session, live: Live) -> None:
         super().__init__(session)
+        self._shown_version = ""  # to look at; the newest unless one was asked for
         self.retrain = RetrainCard(session, live, self.start)
 
     def build(self) -> None:
@@ -45,18 +49,14 @@ class AddView(View):
     def state(self) -> object:
         """What the view depends on."""
         job = self.bench.work.job
-        return tuple(self.session.versions()), self.bench.diagnosis(), job.ended if job else None
+        ended = job.ended if job else None
+        return tuple(self.session.versions()), self.bench.diagnosis(), ended, self._shown_version
 
     def tick(self) -> None:
         """Twice a second while it is seen."""
         self.picker.refresh()
         self.retrain.tick()
         super().tick()
-
-    def report(self) -> Path | None:
-        """Of the last change of the model, or of its versions' errors: whichever is newer."""
-        kinds = ("add-", "remove-", "history-")
-        return next((p for p in self.bench.reports() if p.name.startswith(kinds)), None)
 
     def refresh(self) -> None:
         """Show candidates at once; the versions follow."""
@@ -96,146 +96,99 @@ class AddView(View):
                     soft("None of these was accepted; a version made from one is a guess.")
                 soft(f"Old versions stay{': ' + ', '.join(children) if children else ''}.")
 
-    def _add(self, diagnosis: dict[str, Any], path: Any, use: str) -> None:
-        self._start(self.bench.task(task.ADD, diagnosis["model"], use=use, diagnosis=str(path)))
+    async def _add(self, diagnosis: dict[str, Any], path: Any, use: str) -> None:
+        """Add an effect; ask first where a version has it already."""
+        parent = diagnosis["model"]
+        same, others = await asyncio.to_thread(versions.already, self.bench.store, diagnosis, use)
+
+        def add() -> None:
+            self._start(self.bench.task(task.ADD, parent, use=use, diagnosis=str(path)))
+
+        if same:
+            told = [f"{same[-1]} is {parent} with {use} already, from this very diagnosis: another would be a copy."]
+            look = (f"Show {same[-1]}", lambda: self._look_at(same[-1]))
+            ask(f"{same[-1]} has it", told, [look, ("Add a copy", add)])
+        elif others:
+            told = [
+                f"{others[-1]} is {parent} with {use} too, as another diagnosis fitted it.",
+                f"The new version takes what this diagnosis fitted; {others[-1]} stays.",
+            ]
+            look = (f"Show {others[-1]}", lambda: self._look_at(others[-1]))
+            ask(f"Add {use} to {parent} once more?", told, [("Add it", add), look])
+        else:
+            add()
+
+    def _look_at(self, version: str) -> None:
+        self._shown_version = version
+        ui.notify(f"What is known of {version} is shown below.")
 
     def _start(self, wanted: task.Task) -> None:
         try:
             self.bench.work.start(wanted)
         except TcbiError as e:
             ui.notify(str(e), type="warning")
+        else:
+            self._shown_version = ""
 
     async def _show_versions(self) -> None:
-        rig = self.session.rig()
+        store, rig = self.bench.store, self.session.rig()
         try:
-            lines = await asyncio.to_thread(versions.errors, self.bench.store, rig)
+            line, what = await asyncio.to_thread(versions.errors, store, rig)
         except TcbiError as e:
             ui.notify(str(e), type="warning")
             return
+        known = [p.model for p in line.points]
+        chosen = self._shown_version if self._shown_version in known else known[-1]
         self.history.clear()
         with self.history:
-            self._show_history(lines)
+            self._show_history(line)
         self.details.clear()
         with self.details:
-            self._show_table(lines)
-            self._show_difference([line["model"] for line in lines])
-            self._show_posterior([line["model"] for line in lines])
+            self._show_table(line, what)
+            show_difference(store, known, chosen)
+            show_posterior(store, known, chosen)
 
-    def _show_history(self, lines: list[dict[str, Any]]) -> None:
-        if all(line["error"] is None for line in lines):
+    def _show_history(self, line: ErrorLine) -> None:
+        if not line.source:
             soft("No version has been measured yet: choose rollouts that no fit has seen, then measure all versions.")
             return
-        chart(charts.history([line["model"] for line in lines], [line["error"] for line in lines]), 280)
-        counts = {line["rollouts"] for line in lines if line["rollouts"]}
-        soft(
-            f"Measured on {max(counts)} rollouts that no fit has seen; 1 is the robot against itself."
-            if counts
-            else "As the diagnoses measured it on motions that their fits had not seen; 1 is the robot against itself."
-        )
+        chart(charts.history({p.model: p.error for p in line.points}, {p.model: p.parent for p in line.points}), 290)
+        soft(f"{line.source} A line joins a version with the one it was made from.")
+        notes(line.notes)
+        if line.used:
+            soft(f"Measured on: {_few(line.used)}.")
+        if line.not_counted:
+            soft(f"Seen by a fit, not counted: {_few(line.not_counted)}.")
 
-    def _show_table(self, lines: list[dict[str, Any]]) -> None:
+    def _show_table(self, line: ErrorLine, what: dict[str, tuple[tuple[str, ...], str]]) -> None:
         with card("Versions", "half"), ui.element("div").classes("tcbi-versions"):
-            for line in reversed(lines):
-                words(line["model"], "strong")
-                error = "not measured" if line["error"] is None else f"{charts.number(line['error'])} × floor"
+            for point in reversed(line.points):
+                words(point.model, "strong")
+                error = point.why_none if point.error is None else f"{charts.number(point.error)} × floor"
                 words(error, "span", "tcbi-version-error")
-                made = {"diagnosis": "added", "remove": "effect removed"}.get(line["made"], line["made"])
-                guess = ", not accepted: a guess" if line["accepted"] is False and line["made"] == "diagnosis" else ""
-                words(f"{', '.join(line['effects']) or 'no effects'} ({made}{guess})", "span", "tcbi-soft")
+                effects, made = what[point.model]
+                words(f"{', '.join(effects) or 'no effects'} ({made})", "span", "tcbi-soft")
                 with ui.element("span"):
-                    for use in line["effects"]:
-                        ui.button(f"Take out {use}", on_click=lambda v=line["model"], u=use: self._remove(v, u)).props(
-                            "flat dense"
-                        ).mark(f"remove-{line['model']}-{use}")
+                    for use in effects:
+                        ui.button(
+                            f"Take out {use}", on_click=lambda v=point.model, u=use: self._take_out(v, u, line)
+                        ).props("flat dense").mark(f"remove-{point.model}-{use}")
+
+    def _take_out(self, version: str, use: str, line: ErrorLine) -> None:
+        newest = line.points[-1].model
+        rig, _, number = newest.rpartition("-v")
+        made = f"{rig}-v{int(number) + 1}"
+        told = [
+            f"This makes {made}: {version} without {use}. {version} stays.",
+            f"{made} is then the newest version, which commands and this page take unless another one is named.",
+            "Its other parameters keep the values that they took beside the effect: measure it, or fit it again.",
+        ]
+        ask(f"Take {use} out of {version}?", told, [(f"Make {made} without {use}", lambda: self._remove(version, use))])
 
     def _remove(self, version: str, use: str) -> None:
         self._start(self.bench.task(task.REMOVE, version, use=use))
 
-    def _show_difference(self, known: list[str]) -> None:
-        with card("What differs", "half"):
-            if len(known) < 2:
-                soft("There is one version only; add an effect, and the two can be compared here.")
-                return
-            with ui.element("div").classes("tcbi-row"):
-                before = ui.select(known, value=known[0], label="before").props("outlined dense options-dense")
-                after = ui.select(known, value=known[-1], label="after").props("outlined dense options-dense")
-            place = ui.element("div").style("width: 100%")
 
-            async def show() -> None:
-                d = await asyncio.to_thread(versions.difference, self.bench.store, before.value, after.value)
-                place.clear()
-                with place:
-                    _difference(d, before.value, after.value)
-
-            before.on_value_change(show)
-            after.on_value_change(show)
-            ui.timer(0.05, show, once=True)
-
-    def _show_posterior(self, known: list[str]) -> None:
-        with card("What is known of the parameters"):
-            version = ui.select(known, value=known[-1], label="version").props("outlined dense options-dense")
-            version.style("max-width: 16rem")
-            place = ui.element("div").classes("tcbi-grid")
-
-            async def show() -> None:
-                found = await asyncio.to_thread(versions.posterior, self.bench.store, version.value)
-                place.clear()
-                with place:
-                    _posterior(found)
-
-            version.on_value_change(show)
-            ui.timer(0.1, show, once=True)
-
-
-def _difference(d: dict[str, Any], before: str, after: str) -> None:
-    words(d["statement"], "p")
-    rows = [
-        {
-            "name": charts.with_unit(p["name"], p["unit"]),
-            "before": _span(p["before"]),
-            "after": _span(p["after"]),
-            "overlap": charts.number(p["overlap"], 2),
-        }
-        for p in d["parameters"]
-    ]
-    heads = {"name": "parameter", "before": f"{before}: mean (90 %)", "after": after, "overlap": "overlap"}
-    table(heads, rows, "name", pagination=0)
-
-
-def _span(values: list[float] | None) -> str:
-    if values is None:
-        return "–"
-    return f"{charts.number(values[0])} ({charts.number(values[1])} to {charts.number(values[2])})"
-
-
-def _posterior(found: dict[str, Any]) -> None:
-    told = {True: "told by the data", False: "little more than its prior", None: "not inferred"}
-    with ui.element("div"):
-        rows = [
-            {
-                "name": charts.with_unit(p["name"], p["unit"]),
-                "value": _span([p["mean"], p["low90"], p["high90"]]),
-                "told": told[p["identified"]],
-            }
-            for p in found["parameters"]
-        ]
-        table({"name": "parameter", "value": "mean (90 %)", "told": "do the data tell?"}, rows, "name", pagination=0)
-    parameters = found["parameters"]
-    pairs = [(a, b) for a in range(len(parameters)) for b in range(a)][:SHOWN_PAIRS]
-    for a, b in pairs:
-        points = [[round(row[b], 6), round(row[a], 6)] for row in found["draws"]]
-        with ui.element("div").classes("tcbi-third"):
-            chart(charts.pair(parameters[b], parameters[a], points), 250)
-    steps = found["generations"]
-    if steps:
-        for p in parameters:
-            if p["name"] not in steps["mean"]:
-                continue
-            mean, sd = steps["mean"][p["name"]], steps["sd"][p["name"]]
-            series = {
-                "mean": list(zip(steps["number"], mean, strict=True)),
-                "one standard deviation above": [(g, m + s) for g, m, s in zip(steps["number"], mean, sd, strict=True)],
-                "below": [(g, m - s) for g, m, s in zip(steps["number"], mean, sd, strict=True)],
-            }
-            with ui.element("div").classes("tcbi-third"):
-                chart(charts.lines("generation", charts.with_unit(p["name"], p["unit"]), series), 240)
+def _few(names: Sequence[str]) -> str:
+    more = len(names) - NAMED_ROLLOUTS
+    return ", ".join(names[:NAMED_ROLLOUTS]) + (f" and {more} more" if more > 0 else "")

@@ -57,6 +57,7 @@ def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -
         "errors": {**diagnosis["errors"], use or "base": evidence["error_after"]},
         "error_over_floor": evidence["error_after"],
         "floor_from_replicates": diagnosis["floor_from_replicates"],
+        "nothing_held_out": diagnosis.get("nothing_held_out", False),
         "parameters": evidence["parameters"],
     }
     return child.with_particles(particles, log_weights, **summary)
