@@ -135,7 +135,7 @@ def pendulum(quick: bool) -> list[dict[str, Any]]:
         read_log(load_mapping("xl330_bench"), path) for path in sorted((DATA / "xl330_pendulum").glob("*.json"))
     ]
     names = sorted({m.rollout_id.partition("_")[2] for m in recordings})
-    effort = Effort(starts=8, kept=1, steps=6) if quick else Effort()
+    effort = Effort(starts=8, kept=1, steps=6) if quick else Effort(starts=48, kept=3, steps=14)
     figures: list[dict[str, Any]] = []
     squares: dict[str, list[float]] = {"": [], "load_friction": []}
     for held in names[:1] if quick else names:
