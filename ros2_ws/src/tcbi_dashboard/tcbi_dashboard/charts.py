@@ -250,7 +250,13 @@ def history(errors: Mapping[str, float | None], parents: Mapping[str, str | None
         xAxis=_axis(
             type="category",
             data=labels,
-            axisLabel={"color": INK, "fontSize": 13, "hideOverlap": not few, "interval": 0 if few else "auto"},
+            axisLabel={
+                "color": INK,
+                "fontSize": 13,
+                "lineHeight": 17,
+                "hideOverlap": not few,
+                "interval": 0 if few else "auto",
+            },
         ),
         yAxis=_axis("error / noise floor", type="value", min=0, nameGap=36),
         series=[

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tcbi_dashboard.charts import number
-from tcbi_infer.compare.ladder import seen_by
 from tcbi_sim.model import Model
 
 FLOOR = {
@@ -29,6 +28,7 @@ class Point:
     parent: str | None
     error: float | None
     why_none: str = ""
+    seen: bool = False  # its fit has seen the rollouts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +55,8 @@ def error_line(models: Sequence[Model], record: Mapping[str, Any] | None) -> Err
 
 
 def _measured(models: Sequence[Model], record: Mapping[str, Any]) -> ErrorLine | None:
+    from tcbi_infer.compare.ladder import seen_by  # takes a third of a second to load
+
     lines = {line["model"]: line for line in record["lines"] if line["rollouts"]}
     if not lines:
         return None
@@ -65,15 +67,16 @@ def _measured(models: Sequence[Model], record: Mapping[str, Any]) -> ErrorLine |
         fitted = len(seen_by(m, models) & set(used))
         line = lines.get(m.version)
         if fitted:
-            points.append(Point(m.version, m.parent, None, f"its fit has seen {fitted} of these rollouts"))
+            points.append(Point(m.version, m.parent, None, f"its fit has seen {fitted} of these rollouts", True))
         elif line is None or line["parent"] != m.parent:
             points.append(Point(m.version, m.parent, None, "not measured on these rollouts"))
         else:
             points.append(Point(m.version, m.parent, line["error_over_floor"]))
     if all(p.error is None for p in points):
         return None
-    nobody = not any("seen" in p.why_none for p in points)
-    unseen = "that no fit has seen" if nobody else "that the fits of these versions have not seen"
+    unseen = (
+        "that no fit has seen" if not any(p.seen for p in points) else "that the fits of these versions have not seen"
+    )
     count = f"{len(used)} rollout{'s' * (len(used) != 1)}"
     notes = []
     if given > len(used):
@@ -91,6 +94,8 @@ def _measured(models: Sequence[Model], record: Mapping[str, Any]) -> ErrorLine |
 
 def _diagnosed(models: Sequence[Model]) -> ErrorLine:
     """The figures of one diagnosis: of the newest version that one made, and of the version that it began with."""
+    from tcbi_infer.compare.ladder import seen_by
+
     made = [m for m in models if m.evidence.get("kind") == "diagnosis" and _finite(m.evidence.get("error_over_floor"))]
     if not made:
         return ErrorLine(tuple(Point(m.version, m.parent, None, "not measured") for m in models))

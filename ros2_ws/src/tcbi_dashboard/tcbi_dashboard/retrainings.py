@@ -49,14 +49,14 @@ def retrainings(root: Path) -> list[Retraining]:
 
 
 def policies(root: Path, task: str) -> list[str]:
-    """Names of the policies of a task that can be beaten, the shipped ones first, then the store's by age."""
+    """Names of the policies of a task that can be beaten; the one that `./tcbi retrain` takes by itself is the last."""
     found = []
     for rank, folder in enumerate((SHIPPED, root / "policies")):
         for path in folder.glob("*.json"):
             card = _json(path)
             if card.get("task") == task and path.with_suffix(".safetensors").is_file():
-                found.append((rank, card.get("created", ""), path.stem))
-    return list(dict.fromkeys(name for _, _, name in sorted(found)))
+                found.append((rank, rank == 0 and path.stem == task, card.get("created", ""), path.stem))
+    return list(dict.fromkeys(name for *_, name in sorted(found)))
 
 
 def _kept(path: Path) -> Retraining | None:
@@ -81,8 +81,8 @@ def _left(folder: Path) -> Retraining | None:
     task, model, rival = run["config"]["task"], run["model"], run["rival"]
     if (folder / "checkpoint.safetensors").is_file() or not card:
         budget = run["config"].get("budget_s")
-        time = f", {budget:g} s" if budget else ""
-        said = f"goes on where it stopped when the same is asked for again ({task}, {rival}, {model}{time})"
+        time = f" with {budget:g} s" if budget else ""
+        said = f"goes on where it stopped when the same is asked for again{time}"
         return Retraining(folder.name, UNFINISHED, task, "", model, rival, said)
     said = _json(folder / OUTCOME).get("statement") or "not better with confidence; by how much was not written down"
     return Retraining(folder.name, NOT_KEPT, task, card.get("created", ""), model, rival, said, _curve(card))

@@ -14,7 +14,7 @@ from tcbi_sim.store import ModelStore
 
 DRAWS = 300
 TECHNICAL = ("without samples", "the same in every sample", "closed loop", "resumed")  # notes that few readers need
-MADE = {"diagnosis": "added", "remove": "effect removed", "built in": "built in", "prior": "nothing fitted"}
+MADE = {"diagnosis": "fitted", "inference": "inferred", "remove": "effect taken out", "prior": "nothing fitted"}
 
 
 def errors(store: ModelStore, rig: str) -> tuple[ErrorLine, dict[str, tuple[tuple[str, ...], str]]]:
@@ -26,7 +26,7 @@ def errors(store: ModelStore, rig: str) -> tuple[ErrorLine, dict[str, tuple[tupl
 
 def _made(model: Model) -> str:
     kind = kind_of(model)
-    parent = f" from {model.parent}" if model.parent else ""
+    parent = f" from v{model.parent.rpartition('-v')[2]}" if model.parent else ""
     guess = ", not accepted: a guess" if kind == "diagnosis" and model.evidence.get("accepted") is False else ""
     return f"{MADE.get(kind, kind)}{parent}{guess}"
 

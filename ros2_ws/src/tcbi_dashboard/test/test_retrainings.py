@@ -61,6 +61,11 @@ def test_policies_to_beat_are_those_of_the_task_whatever_their_name(store):
     assert "balance" in found and found[-2:] == ["balance-1", "steady"] and "walker" not in found
 
 
+def test_the_policy_offered_first_is_the_one_that_the_command_takes(store):
+    assert policies(store, "balance")[-1] == "balance-1"
+    assert policies(store / "empty", "balance")[-1] == "balance"
+
+
 def test_a_damaged_card_hides_no_other(store):
     (store / "policies/torn.json").write_text("{")
     (store / "runs/retrain-balance-ccc").mkdir()

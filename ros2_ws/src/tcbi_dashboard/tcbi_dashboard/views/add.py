@@ -10,7 +10,7 @@ from tcbi_contract.errors import TcbiError
 from tcbi_dashboard import charts, task, versions
 from tcbi_dashboard.ask import ask
 from tcbi_dashboard.elements import card, chart, empty, notes, soft, words
-from tcbi_dashboard.error_line import ErrorLine
+from tcbi_dashboard.error_line import ErrorLine, Point
 from tcbi_dashboard.live import Live
 from tcbi_dashboard.picker import Picker
 from tcbi_dashboard.session import Session
@@ -164,8 +164,7 @@ class AddView(View):
         with card("Versions", "half"), ui.element("div").classes("tcbi-versions"):
             for point in reversed(line.points):
                 words(point.model, "strong")
-                error = point.why_none if point.error is None else f"{charts.number(point.error)} × floor"
-                words(error, "span", "tcbi-version-error")
+                words(_figure(point), "span", "tcbi-version-error")
                 effects, made = what[point.model]
                 words(f"{', '.join(effects) or 'no effects'} ({made})", "span", "tcbi-soft")
                 with ui.element("span"):
@@ -187,6 +186,13 @@ class AddView(View):
 
     def _remove(self, version: str, use: str) -> None:
         self._start(self.bench.task(task.REMOVE, version, use=use))
+
+
+def _figure(point: Point) -> str:
+    """A version's error, or in two words that it has none; the sentences under the chart say why."""
+    if point.error is not None:
+        return f"{charts.number(point.error)} × floor"
+    return "not judged" if point.seen else "not measured"
 
 
 def _few(names: Sequence[str]) -> str:

@@ -112,7 +112,7 @@ def _posterior(found: dict[str, Any]) -> None:
 
 def _generations(steps: dict[str, Any], parameters: list[dict[str, Any]]) -> None:
     with ui.element("div"):
-        words("Generation by generation", "h3")
+        words("Generation by generation", "strong")
         count = len(steps["number"])
         soft(f"How the inference came to it: mean and standard deviation after each of {count} generations.")
     for p in parameters:

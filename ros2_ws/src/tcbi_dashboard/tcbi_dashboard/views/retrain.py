@@ -89,7 +89,7 @@ class RetrainCard:
         if not found:
             return
         with self.earlier:
-            words("Trained so far", "h3")
+            words("Trained so far", "strong")
             for one in found[:SHOWN]:
                 self._show(one)
             if len(found) > SHOWN:
