@@ -7,12 +7,16 @@ was pointed at this machine), pages of another origin, and on another address th
 import hmac
 import html
 import secrets
+import socket
 from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
+import psutil
+
+EVERYWHERE = frozenset({"0.0.0.0", "::"})  # every address of this machine
 LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 COOKIE = "tcbi_token"
 Scope = MutableMapping[str, Any]
@@ -49,9 +53,15 @@ class Access:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
-        name = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{name}:{self.port}/{f'?token={self.token}' if self.token else ''}"
+        """What to open in a browser on this machine."""
+        return self.addresses[0]
+
+    @property
+    def addresses(self) -> list[str]:
+        """What to open in a browser, here or on another machine: the first one works on this machine."""
+        hosts = ["localhost", *own_hosts()] if self.host in EVERYWHERE else [self.host]
+        query = f"?token={self.token}" if self.token else ""
+        return [f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{query}" for host in hosts]
 
     def refusal(self, host: str, origin: str, token: str) -> tuple[int, str] | None:
         """Why a request is refused, with the HTTP status, or None.
@@ -68,6 +78,12 @@ class Access:
         if self.token and not hmac.compare_digest(token.encode(), self.token.encode()):
             return 401, "Open the address that ./tcbi dashboard printed, with the token at its end."
         return None
+
+
+def own_hosts() -> list[str]:
+    """IPv4 addresses of this machine under which others may reach it."""
+    every = [a.address for addresses in psutil.net_if_addrs().values() for a in addresses if a.family == socket.AF_INET]
+    return [host for host in every if not host.startswith("127.")]
 
 
 class Guard:
@@ -117,8 +133,16 @@ def _with_headers(send: Send) -> Send:
     return sending
 
 
+def plain_page(text: str, link: bool = False) -> bytes:
+    """A page of one sentence, with a link to the first page or without."""
+    back = '<p><a href="/">Open the dashboard</a></p>' if link else ""
+    head = "<!doctype html><meta charset=utf-8><meta name=viewport content='width=device-width'><title>tcbi</title>"
+    style = "<style>body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem; color-scheme: light dark }</style>"
+    return f"{head}{style}<p>{html.escape(text)}</p>{back}".encode()
+
+
 async def _answer(send: Send, status: int, text: str, headers: list[tuple[bytes, bytes]] | None = None) -> None:
-    body = f"<!doctype html><meta charset=utf-8><title>tcbi</title><p>{html.escape(text)}</p>".encode()
+    body = plain_page(text)
     kind = (b"content-type", b"text/html; charset=utf-8")
     await send({"type": "http.response.start", "status": status, "headers": [kind, *HEADERS, *(headers or [])]})
     await send({"type": "http.response.body", "body": body})

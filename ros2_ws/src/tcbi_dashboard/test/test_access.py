@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tcbi_dashboard.access import Access, Guard
+from tcbi_dashboard.access import Access, Guard, own_hosts
 
 LOCAL = Access.of("localhost", 8080, allow_motion=False)
 OPEN = Access.of("0.0.0.0", 8080, allow_motion=False)
@@ -46,6 +46,19 @@ def test_another_address_has_a_token_and_moves_the_robot_only_if_it_was_said():
     assert Access.of("0.0.0.0", 8080, allow_motion=True).motion
     assert Access.of("0.0.0.0", 8080, False).token != OPEN.token
     assert OPEN.token in OPEN.address
+
+
+def test_every_address_can_be_opened_here_or_on_a_phone(monkeypatch):
+    monkeypatch.setattr("tcbi_dashboard.access.own_hosts", lambda: ["192.168.1.7"])
+    assert OPEN.addresses == [f"http://{host}:8080/?token={OPEN.token}" for host in ("localhost", "192.168.1.7")]
+    assert OPEN.address == OPEN.addresses[0]
+    assert LOCAL.addresses == ["http://localhost:8080/"]
+    assert Access.of("10.0.0.5", 9000, False).address.startswith("http://10.0.0.5:9000/?token=")
+    assert Access.of("fe80::2", 9000, False).address.startswith("http://[fe80::2]:9000/")
+
+
+def test_this_machines_own_addresses_are_no_loopback():
+    assert not [host for host in own_hosts() if host.startswith("127.") or ":" in host]
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8080", "192.168.1.7:8080", ""])

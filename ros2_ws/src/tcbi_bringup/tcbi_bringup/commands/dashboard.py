@@ -49,9 +49,14 @@ def run(args: argparse.Namespace) -> int:
 
     def started() -> None:
         if args.json:
-            console.emit({"address": access.address, "store": str(store.root), "motion": access.motion})
+            said = {"address": access.address, "addresses": access.addresses}
+            console.emit({**said, "store": str(store.root), "motion": access.motion})
         else:
-            console.note(f"open {access.address}   (Ctrl-C ends it; store {store.root})")
+            here, *elsewhere = access.addresses
+            console.note(f"open {here}")
+            for address in elsewhere:
+                console.note(f"from another machine {address}")
+            console.note(f"Ctrl-C ends it; store {store.root}")
             if access.token and not access.motion:
                 console.note("the page may stop the robot but not move it; --allow-motion lets it")
 
