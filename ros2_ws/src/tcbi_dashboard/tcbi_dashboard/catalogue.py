@@ -1,7 +1,7 @@
 """The rollouts that the page offers: cheap with hundreds of bags, since each is read once, and only its beginning."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from tcbi_infer.bags.files import find_bags, is_bag
@@ -17,6 +17,7 @@ class Catalogue:
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self.folders = tuple(folders)
+        self.added: tuple[Path, ...] = ()  # folders of what was recorded from the page, besides its own
         self.revision = 0  # grows when something has come or gone
         self._known: dict[Path, tuple[Stamp, Glance]] = {}
         self._lock = threading.Lock()
@@ -40,9 +41,16 @@ class Catalogue:
             self.revision += changed
             return changed
 
+    def include(self, bags: Iterable[Path]) -> None:
+        """Offer the folders of these bags too, from now on."""
+        for folder in dict.fromkeys(bag.parent for bag in bags if bag.exists()):
+            own = {place.resolve() for place in (*self.folders, *self.added)}
+            if not own & {folder.resolve(), folder.resolve().parent}:
+                self.added = (*self.added, folder)
+
     def _bags(self) -> list[Path]:
         found: list[Path] = []
-        for folder in self.folders:
+        for folder in (*self.folders, *self.added):
             inside = [p for p in folder.iterdir() if p.is_dir() and not is_bag(p)] if folder.is_dir() else []
             for place in (folder, *sorted(inside)):
                 try:

@@ -9,6 +9,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -23,12 +24,15 @@ from tcbi_contract.messages import LATCHED_QOS
 from tcbi_contract.parameters import declare, parameter
 from tcbi_dashboard.access import Access
 from tcbi_dashboard.live import Live, Topic
+from tcbi_dashboard.torque import RELEASED, RESET, STANDING, STOPPED, Torque, in_page_words
 from tcbi_msgs.msg import FootContacts, RolloutEvent
-from tcbi_msgs.srv import LoadPolicy
+from tcbi_msgs.srv import LoadPolicy, ResetEpisode
 
 log = logging.getLogger(__name__)
 NODES_S = 1.0  # between two looks at who is there
 ANSWER_S = 3.0  # that a service has to answer
+RESET_S = 20.0  # a robot moves slowly to its starting posture before it answers
+OWN_SWITCH = "if it moves, use the switch on the robot"
 EAR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)  # hears every publisher, and slows none down
 
 
@@ -53,17 +57,20 @@ class DashboardNode(Node):
         self._hear(names.JOINT_STATES, JointState, names.SENSOR_RATE_HZ, self._joints)
         self._hear(names.IMU, Imu, names.SENSOR_RATE_HZ, self._imu)
         self._hear(names.FOOT_CONTACTS, FootContacts, names.SENSOR_RATE_HZ, self._contacts)
+        self._hear(names.TRACKER_POSE, PoseStamped, None, lambda _: None)
         self._hear(names.JOINT_COMMANDS, JointTrajectory, names.CONTROL_RATE_HZ, lambda _: None)
         self._hear(names.DIAGNOSTICS, DiagnosticArray, None, self._diagnostics)
         self.create_subscription(RolloutEvent, names.ROLLOUT_EVENT, self._event, LATCHED_QOS)
         self.create_subscription(String, names.POLICY_STATUS, self._policy, LATCHED_QOS)
         self._stop = self.create_client(Trigger, names.EMERGENCY_STOP)
         self._release = self.create_client(Trigger, names.RELEASE_EMERGENCY_STOP)
+        self._reset = self.create_client(ResetEpisode, names.RESET_EPISODE)
         self._load = self.create_client(LoadPolicy, names.LOAD_POLICY)
         self._own = self.get_fully_qualified_name()
         threading.Thread(target=self._look_around, name="dashboard-nodes", daemon=True).start()
-        live.emergency_stop = lambda: self._ask(self._stop, Trigger.Request(), "the robot")
-        live.release = lambda: self._ask(self._release, Trigger.Request(), "the robot")
+        live.emergency_stop = self._stop_robot
+        live.release = self._release_robot
+        live.reset = self._reset_robot
         live.load_policy = lambda policy: self._ask(self._load, LoadPolicy.Request(policy=policy), "the policy node")
 
     def _hear(self, topic: str, kind: type, rate_hz: float | None, take: Callable[[Any], None]) -> None:
@@ -89,10 +96,10 @@ class DashboardNode(Node):
             self._live.foot_names, self._live.contact = tuple(message.name), tuple(message.contact)
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
-        with self._live.lock:
-            for status in message.status:
-                level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                self._live.diagnostics[status.name] = (level, status.message)
+        for status in message.status:
+            level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
+            values = {pair.key: pair.value for pair in status.values}
+            self._live.diagnosed(status.name, level, status.message, values)
 
     def _event(self, message: RolloutEvent) -> None:
         self._live.rollout = message.rollout_id if message.kind == RolloutEvent.BEGIN else ""
@@ -112,17 +119,41 @@ class DashboardNode(Node):
             full = {f"{space.rstrip('/')}/{name}" for name, space in found if not name.startswith("_")}
             self._live.nodes = tuple(sorted(full - {self._own}))
 
+    def _stop_robot(self) -> str:
+        done, said = self._told(self._stop, Trigger.Request(), STOPPED)
+        return "STOPPED: torque is off." if done else f"{said}; {OWN_SWITCH}"
+
+    def _release_robot(self) -> str:
+        done, said = self._told(self._release, Trigger.Request(), RELEASED)
+        return f'Released. The torque stays off until "{RESET}".' if done else said
+
+    def _reset_robot(self) -> str:
+        done, said = self._told(self._reset, ResetEpisode.Request(), STANDING, RESET_S)
+        return "The robot has taken its starting posture." if done else said
+
+    def _told(self, client: Any, request: Any, then: Torque, patience_s: float = ANSWER_S) -> tuple[bool, str]:
+        """Ask the robot; once it has done so, its torque is known before its next diagnostics."""
+        done, said = self._answer(client, request, "the robot", patience_s)
+        if done:
+            self._live.note_torque(then)
+        return done, said
+
     def _ask(self, client: Any, request: Any, whom: str) -> str:
         """Call a service from another thread; returns what it answered, or that it did not."""
+        done, said = self._answer(client, request, whom)
+        return said or ("done" if done else "refused")
+
+    def _answer(self, client: Any, request: Any, whom: str, patience_s: float = ANSWER_S) -> tuple[bool, str]:
+        """Whether a service did what was asked, and what it said, in the page's words."""
         if not client.service_is_ready():
-            return f"{whom} is not there: nobody offers {client.srv_name}; start the graph with ./tcbi up"
+            return False, f"{whom} is not there: nobody offers {client.srv_name}; start the graph with ./tcbi up"
         answered = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(ANSWER_S):
-            return f"{whom} did not answer within {ANSWER_S:g} s; use the switch on the robot"
+        if not answered.wait(patience_s):
+            return False, f"{whom} did not answer within {patience_s:g} s"
         answer = future.result()
-        return answer.message or ("done" if answer.success else "refused")
+        return bool(answer.success), in_page_words(answer.message)
 
 
 def listen(live: Live, namespace: str = "") -> None:
@@ -172,7 +203,7 @@ def main(args: Sequence[str] | None = None) -> int:
         access = Access.of(values.host, values.port, values.allow_motion)
         folders = [store.root / "rollouts", *(Path(f).expanduser() for f in values.rollouts.split(":") if f)]
         say = node.get_logger().info
-        serve(Workbench(store, folders, access), live, started=lambda: say(f"open {access.address}"))
+        serve(Workbench(store, folders, access), live, started=lambda: say(f"open {' or '.join(access.addresses)}"))
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except TcbiError as error:

@@ -82,7 +82,7 @@ def all_right(*fields: NumberField) -> bool:
     """Whether every entry is allowed; says so to the user where one is not."""
     wrong = [str(field.props["label"]) for field in fields if not field.validate()]
     if wrong:
-        ui.notify(f"Nothing was started: correct {', '.join(wrong)}.", type="warning")
+        ui.notify(f"Nothing was started: correct {'; '.join(wrong)}.", type="warning")
     return not wrong
 
 
@@ -98,6 +98,12 @@ def card(title: str = "", width: str = "") -> ui.element:
 def words(said: str, tag: str = "p", classes: str = "") -> ui.html:
     """Plain text in an element of its own."""
     return ui.html(html.escape(said), tag=tag, sanitize=False).classes(classes)
+
+
+def say(place: ui.html, said: str, old: bool = False) -> None:
+    """New text for `words`; what is old looks so."""
+    place.set_content(html.escape(said))
+    place.classes(**{"add" if old else "remove": "tcbi-old"})
 
 
 def soft(said: str) -> ui.html:
@@ -153,6 +159,7 @@ __all__ = [
     "nicegui",
     "notes",
     "number_field",
+    "say",
     "soft",
     "table",
     "words",

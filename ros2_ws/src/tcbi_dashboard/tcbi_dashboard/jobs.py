@@ -8,6 +8,7 @@ from typing import Any
 
 from tcbi_dashboard.errors import DashboardError
 from tcbi_dashboard.task import ADD, COLLECT, COMPARE, DIAGNOSE, HISTORY, INFER, MODULE, REMOVE, RETRAIN, Task
+from tcbi_dashboard.torque import in_page_words
 from tcbi_infer.worker_process import Worker
 
 TITLES = {
@@ -36,6 +37,7 @@ class Job:
     failed: str = ""
     cancelled: bool = False
     ended: bool = False
+    dismissed: bool = False  # somebody has read how it ended
 
     @property
     def title(self) -> str:
@@ -48,10 +50,24 @@ class Job:
         return time.monotonic() - self.began
 
     @property
+    def line(self) -> str:
+        """What the head of the page says of it; "" where there is nothing to say (any more)."""
+        if self.dismissed or (self.ended and not self.failed and not self.cancelled):
+            return ""
+        if self.failed:
+            return f"{self.title} failed: {in_page_words(self.failed)}"
+        if self.cancelled:
+            return f"{self.title} was cancelled."
+        spent = f"running for {self.spent_s:.0f} s"
+        left = f"about {self.remaining_s:.0f} s left in all" if self.remaining_s else spent
+        return f"{self.title}: {self.stage or 'starting'}; {left}"
+
+    @property
     def state(self) -> tuple:
         """What somebody who looks at it would see, to the second."""
         spent = 0 if self.ended else int(self.spent_s)
-        return (id(self), self.stage, self.share, self.ended, self.failed, self.cancelled, len(self.training), spent)
+        ending = (self.ended, self.failed, self.cancelled, self.dismissed)
+        return (id(self), self.stage, self.share, len(self.training), spent, *ending)
 
 
 class Slot:
@@ -85,6 +101,11 @@ class Slot:
         if self._worker is not None and self.job is not None:
             self.job.cancelled = self.job.ended = True
             self._let_go()
+
+    def dismiss(self) -> None:
+        """How the last job ended has been read: no browser shows it any more."""
+        if self.job is not None and self.job.ended:
+            self.job.dismissed = True
 
     def close(self) -> None:
         """End the job that runs, and wait until its process is gone: nothing goes on without the page."""

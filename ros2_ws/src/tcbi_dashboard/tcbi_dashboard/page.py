@@ -1,13 +1,12 @@
 """The page: a head with the views' names and the job that runs, and the view that is seen."""
 
 import asyncio
-from collections.abc import Callable
 from pathlib import Path
 
 from nicegui import ui
 
 from tcbi_dashboard.elements import words
-from tcbi_dashboard.jobs import Job
+from tcbi_dashboard.jobs import Slot
 from tcbi_dashboard.live import Live
 from tcbi_dashboard.session import Session
 from tcbi_dashboard.views.add import AddView
@@ -15,6 +14,7 @@ from tcbi_dashboard.views.base import View
 from tcbi_dashboard.views.compare import CompareView
 from tcbi_dashboard.views.live import LiveView
 from tcbi_dashboard.views.reports import ReportsView
+from tcbi_dashboard.views.stop import StopAnywhere
 from tcbi_dashboard.views.where import WhereView
 from tcbi_dashboard.views.why import WhyView
 from tcbi_dashboard.workbench import Workbench
@@ -74,6 +74,7 @@ class Shell:
                 for name in names:
                     ui.tab(name)
             with ui.element("div").classes("tcbi-tools"):
+                self.stop = StopAnywhere(self.live)
                 with ui.button(icon="download").props("flat round dense aria-label='save this view'"), ui.menu():
                     ui.menu_item("Save this view as HTML", self._save_html)
                     ui.menu_item("Save this view as PNG", lambda: self._snapshot("png"))
@@ -91,6 +92,8 @@ class Shell:
         self._see(start)
         tabs.on_value_change(self._changed)
         ui.timer(TICK_S, self.tick)
+        if first and first.lower() != start.lower():
+            ui.notify(f'There is no view "{first}". The views are {", ".join(names)}.', type="warning")
 
     def show(self, name: str) -> None:
         """Go to a view."""
@@ -129,6 +132,7 @@ class Shell:
     def tick(self) -> None:
         """Keep the head and the view that is seen up to date."""
         self._show_job()
+        self.stop.tick()
         self.views[self.tabs.value].tick()
 
     def _show_job(self) -> None:
@@ -139,21 +143,20 @@ class Shell:
         self.jobs.clear()
         with self.jobs:
             for slot in (self.bench.work, self.bench.recording):
-                if slot.job and (not slot.job.ended or slot.job.failed or slot.job.cancelled):
+                if slot.job and slot.job.line:
                     with ui.element("div").classes("tcbi-job"):
-                        _job(slot.job, slot.cancel)
+                        _job(slot)
 
 
-def _job(job: Job, cancel: Callable[[], None]) -> None:
-    """One line: what is being done, how far it is, and how to end it; or how it ended."""
-    if job.failed:
-        words(f"{job.title} failed: {job.failed}", "span", "tcbi-error")
-    elif job.cancelled:
-        words(f"{job.title} was cancelled.", "span")
-    else:
-        left = f"about {job.remaining_s:.0f} s left" if job.remaining_s else f"{job.spent_s:.0f} s"
-        words(f"{job.title}: {job.stage or 'starting'}, {left}", "span")
-        bar = ui.linear_progress(job.share or 0.0, show_value=False)
-        if job.share is None:
-            bar.props("indeterminate")
-        ui.button("Cancel", on_click=cancel).props("flat dense").mark("cancel")
+def _job(slot: Slot) -> None:
+    """One line: what is being done, how far it is, and how to end it; or how it ended, until somebody has read it."""
+    job = slot.job
+    assert job is not None
+    words(job.line, "span", "tcbi-error" if job.failed else "")
+    if job.ended:
+        ui.button("Dismiss", on_click=slot.dismiss).props("flat dense").mark("dismiss")
+        return
+    bar = ui.linear_progress(job.share or 0.0, show_value=False)
+    if job.share is None:
+        bar.props("indeterminate")
+    ui.button("Cancel", on_click=slot.cancel).props("flat dense").mark("cancel")

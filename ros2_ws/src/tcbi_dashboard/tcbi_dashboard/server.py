@@ -5,12 +5,12 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-from fastapi import Response
-from fastapi.responses import FileResponse
+from fastapi import Request, Response
+from fastapi.responses import FileResponse, HTMLResponse
 from nicegui import app, ui
 
 from tcbi_dashboard import page
-from tcbi_dashboard.access import Guard
+from tcbi_dashboard.access import Guard, plain_page
 from tcbi_dashboard.errors import DashboardError
 from tcbi_dashboard.live import Live
 from tcbi_dashboard.workbench import Workbench
@@ -42,7 +42,7 @@ def serve(bench: Workbench, live: Live, show: bool = False, started: Callable[[]
     app.add_middleware(Guard, access=access)
     _files(bench)
     page.build(bench, live)
-    app.timer(POLL_S, bench.poll)
+    app.timer(POLL_S, lambda: _poll(bench))
     app.timer(LOOK_S, lambda: page.look(bench))
     app.on_startup(started)
     app.on_shutdown(bench.close)
@@ -59,6 +59,14 @@ def serve(bench: Workbench, live: Live, show: bool = False, started: Callable[[]
         reconnect_timeout=RECONNECT_S,
         show_welcome_message=False,
     )
+
+
+def _poll(bench: Workbench) -> None:
+    """Take in what the jobs have said; what was recorded is offered wherever it lies."""
+    bench.poll()
+    recorded = bench.recording.job
+    if recorded and recorded.result:
+        bench.catalogue.include(Path(bag) for bag in recorded.result["bags"])
 
 
 def _check_free(host: str, port: int) -> None:
@@ -83,7 +91,16 @@ def _files(bench: Workbench) -> None:
     @app.get("/report/{name}")
     def report(name: str) -> Response:
         found = next((p for p in bench.reports() if p.name == name), None)
-        return _file(found.parent, found.name, "text/html") if found else Response(status_code=404)
+        return _file(found.parent, found.name, "text/html") if found else nothing(f"report {name}")
+
+    @app.exception_handler(404)
+    def elsewhere(request: Request, _: Exception) -> Response:
+        return nothing(f"page {request.url.path}")
+
+
+def nothing(what: str) -> Response:
+    """The answer where there is nothing."""
+    return HTMLResponse(plain_page(f"There is no {what} here.", link=True), status_code=404)
 
 
 def _file(folder: Path, name: str, kind: str) -> Response:

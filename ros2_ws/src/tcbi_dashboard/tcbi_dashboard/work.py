@@ -221,7 +221,9 @@ class _Telling:
     total: int
 
     def __call__(self, done: int, name: str, left_s: float) -> None:
-        self.watch(f"{name}, {left_s:.0f} s left", (self.before + done) / self.total)
+        number = min(self.before + done + 1, self.total)
+        stage = f"{name}, rollout {number} of {self.total}, which lasts {left_s:.0f} s more"
+        self.watch(stage, (self.before + done) / self.total)
 
 
 def run_collect(task: Task, emit: Emit) -> None:

@@ -64,3 +64,15 @@ def test_only_what_is_new_is_read_again(tmp_path, monkeypatch):
     assert not catalogue.look() and read == []
     write_measurement(tmp_path, recording("b"))
     assert catalogue.look() and [p.name for p in read] == ["b"]
+
+
+def test_the_folder_of_a_recording_is_offered_unless_it_was_already(tmp_path):
+    own, other = tmp_path / "own", tmp_path / "other"
+    for folder in (own / "inside", other):
+        (folder / "bag").mkdir(parents=True)
+    catalogue = Catalogue([own])
+    catalogue.include([own / "bag", own / "inside" / "bag", tmp_path / "gone" / "bag"])
+    assert catalogue.added == ()
+    catalogue.include([other / "bag"])
+    catalogue.include([other / "bag"])
+    assert catalogue.added == (other,)

@@ -7,7 +7,7 @@ import pytest
 
 from tcbi_dashboard.errors import DashboardError
 from tcbi_dashboard.jobs import TITLES, Slot
-from tcbi_dashboard.task import COMPARE, DIAGNOSE, MODULE, Task
+from tcbi_dashboard.task import COLLECT, COMPARE, DIAGNOSE, MODULE, Task
 from tcbi_dashboard.work import RUNS
 
 
@@ -96,6 +96,23 @@ def test_a_failure_is_kept_in_its_own_words(slot):
     made[0].said = [{"event": "failed", "message": "the disk is full"}]
     slot.poll()
     assert job.failed == "the disk is full" and job.ended and not slot.busy
+
+
+def test_how_a_job_ended_is_shown_until_it_is_dismissed_or_the_next_one_starts(slot):
+    slot, made = slot
+    job = slot.start(Task(COLLECT, "/store"))
+    slot.dismiss()
+    assert job.line == "Recording: starting; running for 0 s"  # what runs cannot be dismissed
+    made[0].said = [{"event": "progress", "stage": "replaying", "share": 0.5, "remaining_s": 3.0}]
+    slot.poll()
+    assert job.line == "Recording: replaying; about 3 s left in all"
+    made[0].said = [{"event": "failed", "message": "reset_episode failed: reset: no feedback"}]
+    slot.poll()
+    assert job.line == "Recording failed: the robot could not be reset: no feedback"
+    before = job.state
+    slot.dismiss()
+    assert job.line == "" and job.state != before
+    assert slot.start(Task(COMPARE, "/store")).line
 
 
 def test_a_real_worker_says_why_it_failed(tmp_path):
