@@ -349,7 +349,7 @@ def lines(x_title: str, y_title: str, series: Mapping[str, Sequence[Sequence[flo
     return _frame(
         legend={"textStyle": {"color": INK}, "left": 0, "top": 0, "type": "scroll", "right": 30},
         tooltip={"trigger": "axis", "confine": True},
-        xAxis=_axis(x_title, type="value", min="dataMin", max="dataMax", splitLine={"show": False}),
+        xAxis=_axis(x_title, type="value", min="dataMin", max="dataMax", minInterval=1, splitLine={"show": False}),
         yAxis=_axis(y_title, type="value", scale=True, nameGap=42),
         series=[
             {

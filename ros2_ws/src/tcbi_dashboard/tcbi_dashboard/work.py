@@ -147,7 +147,10 @@ def run_history(task: Task, emit: Emit) -> None:
          nan if v.error_over_floor is None else v.error_over_floor)
         for v in lines
     ]  # fmt: skip
-    report = Report("Model versions", "The error of each version on rollouts that no fit has seen.")
+    left = len(measurements) - len(unseen)
+    told = f"The error of each version on {len(unseen)} rollouts that no fit has seen."
+    told += f" {left} of the {len(measurements)} chosen do not count, since a fit has seen them." * bool(left)
+    report = Report("Model versions", told)
     add_history(report, rows, lines[0].floor_from_replicates)
     report.write(store.folder("reports") / file_name("history", versions[-1].version, lines[0].rollouts))
     content = {

@@ -64,11 +64,11 @@ def _difference(d: dict[str, Any], before: str, after: str) -> None:
         for p in d["parameters"]
     ]
     heads = {"name": "parameter", "before": f"{before}: mean (90 %)", "after": after,
-             "overlap": "overlap", "width": "width after / before"}  # fmt: skip
+             "overlap": "overlap", "width": "width"}  # fmt: skip
     table(heads, rows, "name", pagination=0)
     soft(
-        "Overlap: the share of the shorter 90 % interval that lies in the other one. Width: of the 90 % intervals. "
-        "Both on the parameter's own scale."
+        "Overlap: the share of the shorter 90 % interval that lies in the other one. Width: of the interval after, "
+        "beside the one before. Both on the parameter's own scale."
     )
 
 

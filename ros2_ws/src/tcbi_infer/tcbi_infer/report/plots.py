@@ -195,11 +195,17 @@ def versions(name: str, unit: str, before: Interval, after: Interval, labels: tu
         return to_svg(figure)
 
 
-def history(labels: Sequence[str], errors: Sequence[float], repeated: bool | None = None) -> str:
-    """The error of each model version, with the noise floor as a line; `repeated` as for the ladder."""
+def history(
+    labels: Sequence[str], parents: Sequence[str], errors: Sequence[float], repeated: bool | None = None
+) -> str:
+    """The error of each model version, joined with its parent's, and the noise floor; `repeated` as for the ladder."""
+    at = {label: i for i, label in enumerate(labels)}
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(2.8, WIDE)
-        axes.plot(np.arange(len(labels)), errors, "o-", color=BLUE)
+        axes.plot(np.arange(len(labels)), errors, "o", color=BLUE)
+        for i, parent in enumerate(parents):
+            if parent in at:
+                axes.plot([at[parent], i], [errors[at[parent]], errors[i]], "-", color=BLUE)
         axes.axhline(1.0, color=ORANGE, ls="--", lw=1.2)
         axes.text(
             0,

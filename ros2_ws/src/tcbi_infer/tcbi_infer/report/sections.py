@@ -111,7 +111,12 @@ def _moments(d: Diagnosis) -> Section:
     for m in d.moments:
         half = 1.645 * m.floor
         svg = plots.overlay(
-            m.time, m.measured, m.before, m.before - half, m.before + half, f"{m.signal} / {m.unit}",
+            m.time,
+            m.measured,
+            m.before,
+            m.before - half,
+            m.before + half,
+            f"{m.signal} / {m.unit}",
             m.after.get(d.ranking[0].use),
         )
         figures.append(Figure(svg, f"{m.signal} in rollout {m.rollout}."))
@@ -214,7 +219,10 @@ def _quantiles(model: Model) -> list[str]:
 
 def add_history(report: Report, rows: Sequence[tuple[str, str, str, float]], repeated: bool | None = None) -> None:
     """Model versions: (version, parent, effects, error over floor); `repeated` as in `add_ladder`."""
-    svg = plots.history([r[0] for r in rows], [r[3] for r in rows], repeated)
-    caption = "Error of each version on rollouts that no fit has seen; the noise floor is 1."
+    svg = plots.history([r[0] for r in rows], [r[1] for r in rows], [r[3] for r in rows], repeated)
+    caption = (
+        "Error of each version on rollouts that no fit has seen; the noise floor is 1. A line joins a version "
+        "with the one it was made from."
+    )
     table = Table(["model", "parent", "effects", "error / noise floor"], rows)
     report.add(Section("Model versions", figures=[Figure(svg, caption, wide=True)], table=table))
