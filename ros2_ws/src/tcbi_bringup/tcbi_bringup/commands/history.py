@@ -6,6 +6,11 @@ from tcbi_bringup.commands import console
 
 SUMMARY = "Show the error of each model version on rollouts that no fit has seen, the noise floor being 1."
 
+KEPT = (
+    "Each figure is what the diagnosis of that version kept. Those of different diagnoses were measured on different "
+    "rollouts; to compare versions, give bags that no fit has seen."
+)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command line."""
@@ -51,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
         )
         for v in lines
     ]
-    report = Report("Model versions", "The error of each version on rollouts that no fit has seen.")
+    measured = bool(lines[0].rollouts)
+    told = "" if measured else f" {KEPT}"
+    report = Report("Model versions", f"The error of each version on rollouts that no fit has seen.{told}")
     add_history(report, rows, lines[0].floor_from_replicates)
     name = file_name("history", versions[-1].version, lines[0].rollouts)
     path = report.write(args.report or store.folder("reports") / name)
@@ -61,5 +68,7 @@ def run(args: argparse.Namespace) -> int:
     console.table("", ["model", "parent", "effects", "error / noise floor"], rows)
     floor = "estimated, since no motion was repeated" if lines[0].floor_from_replicates is False else "the noise floor"
     print(f"1 is {floor}; – where no rollout unseen by the fits was compared.")
+    if not measured:
+        print(KEPT)
     print(f"report: {path}")
     return 0
