@@ -311,8 +311,15 @@ def test_a_service_that_does_not_answer_is_asked_once_more_and_its_last_answer_c
 
 def test_another_programs_events_are_recorded_too(start_graph, peer, tmp_path):
     start_graph(recorder(tmp_path / "bags", lockstep=False))
-    events = peer.publisher(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
     joints = peer.publisher(names.JOINT_STATES, JointState, messages.STREAM_QOS)
+    events = peer.publisher(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
+    event = RolloutEvent(rollout_id="before", kind=RolloutEvent.BEGIN, task="forward", source="lab")
+    event.header.stamp = peer.node.get_clock().now().to_msg()
+    events.publish(event)  # publishers are discovered in their order: who hears this one hears joints, too
+    peer.wait_until((tmp_path / "bags" / "before.recording").is_dir, "the recorder's ear")
+    event.kind = RolloutEvent.ABORT
+    events.publish(event)
+    peer.wait_until(lambda: not (tmp_path / "bags" / "before.recording").exists(), "the end of what was before")
     begin = peer.node.get_clock().now().nanoseconds
     event = RolloutEvent(rollout_id="by_hand", kind=RolloutEvent.BEGIN, task="forward", source="lab")
     event.header.stamp = messages.to_stamp(begin)

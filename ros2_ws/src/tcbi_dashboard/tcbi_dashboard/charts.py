@@ -99,9 +99,14 @@ def _line_at_one(axis: str) -> Options:
 
 
 def heat(joints: Sequence[str], phases: Sequence[str], values: Sequence[Sequence[float | None]]) -> Options:
-    """Joint x phase, coloured by error over the noise floor; a point is [phase, joint, value]."""
-    cells = [[p, j, _rounded(v)] for p, row in enumerate(values) for j, v in enumerate(row) if v is not None]
-    top = max((c[2] for c in cells if c[2] is not None), default=2.0)
+    """Joint x phase, coloured by error over the noise floor; the value of a point is [phase, joint, error]."""
+    cells = [
+        {"name": f"{joints[j]} {phases[p]}", "value": [p, j, _rounded(v)]}
+        for p, row in enumerate(values)
+        for j, v in enumerate(row)
+        if v is not None
+    ]
+    top = max((v for row in values for v in row if v is not None), default=2.0)
     said = "(p) => `${p.name}: ${p.marker}${Number(p.value[2]).toPrecision(2)} × noise floor`"
     return _frame(
         grid=_beside(joints, right=16, bottom=160),

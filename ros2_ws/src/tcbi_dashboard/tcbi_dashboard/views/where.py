@@ -71,7 +71,7 @@ class WhereView(View):
         heat = c["heat"]
         with card("Joint and phase of the motion"):
             made = chart(charts.heat(heat["joints"], heat["phases"], heat["values"]), 220 + 22 * len(heat["joints"]))
-            made.on_point_click(lambda e: self._show_cell(heat, *e.data[:2]))
+            made.on_point_click(lambda e: self._show_cell(heat, *e.value[:2]))
             soft(
                 "Root mean square error in multiples of the noise floor. Click a cell to see where that joint's error "
                 "is largest in that phase. Where a cell is blank, the joint is hardly ever in that phase."
