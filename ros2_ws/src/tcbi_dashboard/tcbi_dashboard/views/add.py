@@ -158,7 +158,8 @@ class AddView(View):
         if line.used:
             soft(f"Measured on: {_few(line.used)}.")
         if line.not_counted:
-            soft(f"Seen by a fit, not counted: {_few(line.not_counted)}.")
+            with ui.expansion(f"{len(line.not_counted)} that do not count").style("width: 100%"):
+                soft(f"{', '.join(line.not_counted)}.")
 
     def _show_table(self, line: ErrorLine, what: dict[str, tuple[tuple[str, ...], str]]) -> None:
         with card("Versions", "half"), ui.element("div").classes("tcbi-versions"):

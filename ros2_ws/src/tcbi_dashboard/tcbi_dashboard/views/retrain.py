@@ -118,7 +118,7 @@ class RetrainCard:
         async def swap() -> None:
             ui.notify(await asyncio.to_thread(self.live.load_policy, name) or "done")
 
-        ui.button(f"Swap {name} in", on_click=swap).props("outline dense")
+        ui.button(f"Swap {name} in", on_click=swap).props("outline")
 
 
 def _folded(one: Retraining) -> None:
