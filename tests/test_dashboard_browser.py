@@ -109,6 +109,17 @@ def test_a_newcomer_sees_learns_adds_and_watches_the_error_fall(tmp_path, look):
         after, base = (float(line.split()[0]) for line in lines)
         assert after < 0.6 * base
 
+        page.get_by_role("button", name=f"Add {HIDDEN}", exact=True).click()
+        page.get_by_text("servo_bench-v0 with backlash already, from this very diagnosis").wait_for()
+        page.get_by_role("button", name="Show servo_bench-v1").click()
+        page.get_by_role("button", name=f"Take out {HIDDEN}").click()
+        page.get_by_text("servo_bench-v2 is then the newest version").wait_for()
+        page.get_by_role("button", name="Cancel").click()
+        page.get_by_label("time for training").fill("-5")
+        page.get_by_role("button", name="Retrain", exact=True).click()
+        page.get_by_text("allowed: 10 to 86400").wait_for()
+        assert [p.name for p in (tmp_path / "models").glob("*-v*")] == ["servo_bench-v1"]
+
         go_to(page, "Reports")
         page.get_by_role("link", name="add-servo_bench-v1").wait_for()
         with urllib.request.urlopen(f"{server.address}/report/add-servo_bench-v1.html") as report:
@@ -124,6 +135,16 @@ def test_every_view_of_an_empty_store_says_what_to_do_first(tmp_path, look, widt
             go_to(page, view)
             page.locator(".tcbi-empty:visible").first.wait_for()
             assert fits(page), view
+
+
+def test_an_address_that_is_none_says_what_there_is(tmp_path, look):
+    with Server(tmp_path) as server:
+        page = look(server, "foo")
+        page.get_by_text('There is no view "foo". The views are Live, Compare').wait_for()
+        page.goto(f"{server.address}/nowhere")
+        page.get_by_text("There is no page /nowhere here.").wait_for()
+        page.get_by_role("link", name="Open the dashboard").click()
+        page.get_by_text("There are no rollouts yet.").wait_for()
 
 
 def test_every_view_works_with_one_rollout(tmp_path, look):
@@ -203,7 +224,7 @@ def test_another_machine_needs_the_token_and_cannot_move_the_robot(tmp_path, loo
             urllib.request.urlopen(server.address)
         assert refused.value.code == 401
         page = browser.new_page()
-        page.goto(server.said["address"].replace("0.0.0.0", "localhost"))
+        page.goto(server.said["address"])
         page.wait_for_selector(".tcbi-main")
         assert "token" not in page.url
         go_to(page, "Live")
@@ -214,14 +235,37 @@ def test_another_machine_needs_the_token_and_cannot_move_the_robot(tmp_path, loo
 
 
 @pytest.mark.graph
-def test_the_robot_is_seen_stopped_and_its_unplugging_noticed(tmp_path, look, domain, start_graph):
+def test_the_robot_is_seen_stopped_and_its_unplugging_noticed(tmp_path, look, domain, start_graph, peer):
+    from std_srvs.srv import Trigger
+
     from tcbi_bringup.launcher import NodeProcess
+    from tcbi_contract import names
 
     graph = start_graph(NodeProcess("tcbi_sim", "sim_node", parameters={"mode": "realtime"}))
     with Server(tmp_path, domain=domain) as server:
         page = look(server, "live")
         page.get_by_text("°, pitch ").wait_for()
-        page.get_by_role("button", name="EMERGENCY STOP").click()
-        page.get_by_text("torque is off").first.wait_for()
+        peer.call(names.EMERGENCY_STOP, Trigger.Request(), Trigger)  # somebody else's stop is seen, too
+        page.get_by_text("STOPPED: torque is off").wait_for()
+        page.get_by_role("button", name="Release the stop").click()
+        page.get_by_text("Torque is off: emergency stop released").wait_for()
+        page.get_by_role("button", name="Reset the robot").click()
+        page.get_by_role("button", name="Reset the robot").wait_for(state="hidden")
+
+        phone = look(server, "why", width=390)
+        phone.get_by_role("button", name="STOP", exact=True).click()
+        phone.get_by_role("button", name="STOPPED", exact=True).wait_for()
+        page.get_by_text("STOPPED: torque is off").wait_for()
+        assert fits(phone)
+        phone.close()
+
+        record_button = page.get_by_role("button", name="Record")
+        page.get_by_label("slope, roll").fill("95")
+        record_button.click()
+        page.get_by_text("allowed: -30 to 30, or empty (drawn)").wait_for()
+        page.get_by_label("slope, roll").fill("")
+        record_button.click()
+        page.get_by_text("The graph has no recorder_node").wait_for()
         graph.stop()
         page.get_by_text("No joint states arrive.").wait_for()
+        page.get_by_text("STOPPED: torque is off (not heard for").wait_for()

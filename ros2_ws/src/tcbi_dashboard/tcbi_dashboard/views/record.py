@@ -55,9 +55,6 @@ class RecordCard:
         """Start a collection."""
         if not all_right(self.number, self.times, self.roll, self.pitch, self.seconds, self.seed):
             return
-        if refused := self.live.cannot_record():
-            ui.notify(refused, type="warning", multi_line=True, timeout=8000)
-            return
         options: dict[str, Any] = {
             "task": self.task.value,
             "number": int(self.number.number or 1),
@@ -67,12 +64,8 @@ class RecordCard:
             "seed": int(self.seed.number or 0),
             "policy": self.motion.value or "",
             "duration_s": self.seconds.number or 0.0,
-            "namespace": self.live.namespace.strip("/"),
         }
-        try:
-            self.bench.recording.start(self.bench.task(task.COLLECT, **options))
-        except TcbiError as e:
-            ui.notify(str(e), type="warning")
+        start_recording(self.bench, self.live, **options)
 
     def tick(self) -> None:
         """Twice a second while it is seen."""
@@ -81,6 +74,17 @@ class RecordCard:
             catalogue = self.bench.catalogue
             bags = (job.result or {}).get("bags", [])
             say(self.landed, landed([Path(bag) for bag in bags], catalogue.added))
+
+
+def start_recording(bench: Workbench, live: Live, **options: Any) -> None:
+    """Start a collection with the running graph, or say at once why not."""
+    if refused := live.cannot_record():
+        ui.notify(refused, type="warning", multi_line=True, timeout=8000)
+        return
+    try:
+        bench.recording.start(bench.task(task.COLLECT, namespace=live.namespace.strip("/"), **options))
+    except TcbiError as e:
+        ui.notify(str(e), type="warning")
 
 
 def landed(bags: Sequence[Path], added: Sequence[Path]) -> str:

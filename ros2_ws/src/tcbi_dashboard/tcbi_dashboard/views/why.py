@@ -6,13 +6,13 @@ from typing import Any
 
 from nicegui import ui
 
-from tcbi_contract.errors import TcbiError
 from tcbi_dashboard import charts, next_motions, task
 from tcbi_dashboard.elements import card, chart, empty, notes, soft, table, words
 from tcbi_dashboard.live import Live
 from tcbi_dashboard.picker import HOW_TO_RECORD, Picker
 from tcbi_dashboard.session import Session
 from tcbi_dashboard.views.base import View
+from tcbi_dashboard.views.record import start_recording
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, NextMotion, step_label
 
 TONES = {EFFECT: "warn", NOTHING_MISSING: "good"}
@@ -156,11 +156,7 @@ class WhyView(View):
             words(motion.command, "code")
 
     def _record(self, motion: NextMotion) -> None:
-        options = {**next_motions.collection(motion), "namespace": self.live.namespace.strip("/")}
-        try:
-            self.bench.recording.start(self.bench.task(task.COLLECT, **options))
-        except TcbiError as e:
-            ui.notify(str(e), type="warning")
+        start_recording(self.bench, self.live, **next_motions.collection(motion))
 
     def _ladder(self, d: dict[str, Any]) -> None:
         with card("How wrong is the model?", "half"):
