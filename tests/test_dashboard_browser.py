@@ -110,7 +110,7 @@ def test_a_newcomer_sees_learns_adds_and_watches_the_error_fall(tmp_path, look):
         assert after < 0.6 * base
 
         page.get_by_role("button", name=f"Add {HIDDEN}", exact=True).click()
-        page.get_by_text("servo_bench-v0 with backlash already, from this very diagnosis").wait_for()
+        page.get_by_text(f"servo_bench-v0 with {HIDDEN} already, from this very diagnosis").wait_for()
         page.get_by_role("button", name="Show servo_bench-v1").click()
         page.get_by_role("button", name=f"Take out {HIDDEN}").click()
         page.get_by_text("servo_bench-v2 is then the newest version").wait_for()
