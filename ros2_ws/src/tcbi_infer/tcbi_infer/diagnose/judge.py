@@ -121,9 +121,7 @@ class Judge:
             spread=tuple(tuple(float(x) for x in row) for row in covariance),
         )
 
-    def moments(
-        self, before: Judged, after: Mapping[str, Judged], count: int = 4, span_s: float = 1.5
-    ) -> list[Moment]:
+    def moments(self, before: Judged, after: Mapping[str, Judged], count: int = 4, span_s: float = 1.5) -> list[Moment]:
         """Where the base model fails worst on held-out motions, with and without each of some uses."""
         layout, residual = self.replay.layout, before.held.residual
         span = round(span_s * layout.rate)
