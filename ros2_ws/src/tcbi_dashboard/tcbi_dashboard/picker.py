@@ -1,5 +1,6 @@
 """Which rollouts and which model version a view works on: one line on the page, and a list behind it."""
 
+import asyncio
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -14,11 +15,11 @@ COLUMNS = {
     "policy": "motion",
     "when": "recorded",
     "seen": "seen by the fit of",
-    "rollout": "rollout",
     "task": "task",
     "source": "from",
     "slope": "slope / deg",
     "seconds": "length / s",
+    "rollout": "rollout",
 }
 HOW_TO_RECORD = (
     "Record some, each motion twice, so that the robot can be compared with itself:",
@@ -64,10 +65,10 @@ class Picker:
             self.session.model = event.value
             self.changed()
 
-    def open(self) -> None:
+    async def open(self) -> None:
         """The list of all rollouts."""
+        seen = await asyncio.to_thread(self.session.seen_by)
         entries = self.session.bench.catalogue.entries
-        seen = self.session.seen_by()
         rows = [row(e, seen.get(e.rollout_id, ())) for e in entries]
         chosen = {str(e.path) for e in self.session.rollouts()}
         columns = [

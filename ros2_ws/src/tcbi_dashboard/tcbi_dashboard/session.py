@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 
+from tcbi_contract.errors import TcbiError
 from tcbi_dashboard.workbench import Workbench
 from tcbi_infer.bags.glance import Glance
 from tcbi_infer.seen import used_before
@@ -29,6 +30,7 @@ class Session:
         self.chosen: set[str] | None = None  # paths of bags; None until somebody chooses
         self.place: Place | None = None
         self.seen = ""  # the view that is seen
+        self._used: dict[str, set[str]] = {}  # by version, what it was fitted to: a version never changes
         self.go_to: Callable[[str], None] = lambda _: None  # shows another view
 
     def rollouts(self) -> list[Glance]:
@@ -51,11 +53,16 @@ class Session:
         return self.bench.store.versions(self.rig())
 
     def seen_by(self) -> dict[str, list[str]]:
-        """The versions that were fitted to a rollout, by its id."""
+        """The versions that were fitted to a rollout, by its id; reads each version once."""
         seen: dict[str, list[str]] = {}
-        for model in self.bench.store.history(self.rig()):
-            for rollout in used_before(model):
-                seen.setdefault(rollout, []).append(model.version)
+        for version in self.versions():
+            if version not in self._used:
+                try:
+                    self._used[version] = used_before(self.bench.store.load(version))
+                except TcbiError:  # what cannot be read has been fitted to nothing that counts
+                    continue
+            for rollout in self._used[version]:
+                seen.setdefault(rollout, []).append(version)
         return seen
 
     def version(self) -> str:
