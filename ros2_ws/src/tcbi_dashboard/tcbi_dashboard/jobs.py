@@ -59,7 +59,7 @@ class Job:
         if self.cancelled:
             return f"{self.title} was cancelled."
         spent = f"running for {self.spent_s:.0f} s"
-        left = f"about {self.remaining_s:.0f} s left in all" if self.remaining_s else spent
+        left = f"about {self.remaining_s:.0f} s left in all" if (self.remaining_s or 0) >= 0.5 else spent
         return f"{self.title}: {self.stage or 'starting'}; {left}"
 
     @property

@@ -215,18 +215,21 @@ def run_retrain(task: Task, emit: Emit) -> None:
     emit("result", **dataclasses.asdict(outcome))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Telling:
+@dataclasses.dataclass
+class Telling:
     """Progress of one of several collections in a row."""
 
-    watch: Watch
+    watch: Callable[[str, float], None]
     before: int
     total: int
+    length_s: float = 0.0  # of a rollout, as far as it has been seen
 
     def __call__(self, done: int, name: str, left_s: float) -> None:
+        self.length_s = max(self.length_s, left_s)
+        part = 1 - left_s / self.length_s if self.length_s else 0.0
+        state = f"which lasts {left_s:.0f} s more" if left_s >= 0.5 else "being saved"
         number = min(self.before + done + 1, self.total)
-        stage = f"{name}, rollout {number} of {self.total}, which lasts {left_s:.0f} s more"
-        self.watch(stage, (self.before + done) / self.total)
+        self.watch(f"{name}, rollout {number} of {self.total}, {state}", (number - 1 + part) / self.total)
 
 
 def run_collect(task: Task, emit: Emit) -> None:
@@ -244,7 +247,7 @@ def run_collect(task: Task, emit: Emit) -> None:
     watch("waiting for the recorder")
     with CollectClient(namespace=wish["namespace"]) as client:
         for again in range(times):  # the same request makes the same motions on the same slopes
-            client.on_progress = _Telling(watch, again * number, number * times)
+            client.on_progress = Telling(watch, again * number, number * times)
             result, succeeded = client.collect(request, READY_S)
             bags += list(result.bags)
             emit("result", bags=bags, message=result.message)

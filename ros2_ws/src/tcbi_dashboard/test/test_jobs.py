@@ -8,7 +8,7 @@ import pytest
 from tcbi_dashboard.errors import DashboardError
 from tcbi_dashboard.jobs import TITLES, Slot
 from tcbi_dashboard.task import COLLECT, COMPARE, DIAGNOSE, MODULE, Task
-from tcbi_dashboard.work import RUNS
+from tcbi_dashboard.work import RUNS, Telling
 
 
 class Told:
@@ -113,6 +113,17 @@ def test_how_a_job_ended_is_shown_until_it_is_dismissed_or_the_next_one_starts(s
     slot.dismiss()
     assert job.line == "" and job.state != before
     assert slot.start(Task(COMPARE, "/store")).line
+
+
+def test_a_collection_tells_which_rollout_it_is_at_and_how_much_of_all_is_done():
+    said: list[tuple[str, float]] = []
+    telling = Telling(lambda stage, share: said.append((stage, share)), before=1, total=4)
+    for done, left_s in ((0, 10.0), (0, 5.0), (0, 0.0), (1, 10.0)):
+        telling(done, "walk", left_s)
+    assert said[0] == ("walk, rollout 2 of 4, which lasts 10 s more", 0.25)
+    assert said[1] == ("walk, rollout 2 of 4, which lasts 5 s more", 0.375)
+    assert said[2] == ("walk, rollout 2 of 4, being saved", 0.5)
+    assert said[3] == ("walk, rollout 3 of 4, which lasts 10 s more", 0.5)
 
 
 def test_a_real_worker_says_why_it_failed(tmp_path):
