@@ -27,6 +27,7 @@ from tcbi_msgs.srv import ResetEpisode
 
 CANCEL_S = 15.0
 GONE_S = 10.0  # without the recorder, until it is given up
+ASK_AGAIN_S = 10.0  # for the end of a goal
 
 
 class CollectClient:
@@ -84,8 +85,7 @@ class CollectClient:
                 )
             if not sent.result().accepted:
                 raise RecordingError("the recorder is busy with another rollout; wait for its end, or cancel it")
-            ended = sent.result().get_result_async()
-            self._until(ended.done, while_waiting=self._recorder_watch())
+            ended = self._end(sent.result())
         except KeyboardInterrupt:
             ended = self._cancelled(sent)
             if ended is None:
@@ -95,6 +95,13 @@ class CollectClient:
             raise
         answer = ended.result()
         return answer.result, answer.status == GoalStatus.STATUS_SUCCEEDED
+
+    def _end(self, goal: Any) -> Any:
+        """Wait for a goal's end, asked for again and again: the middleware may lose a question or its answer."""
+        asked, watch = [goal.get_result_async()], self._recorder_watch()
+        while not self._until(lambda: any(future.done() for future in asked), ASK_AGAIN_S, watch):
+            asked.append(goal.get_result_async())
+        return next(future for future in asked if future.done())
 
     def _cancelled(self, sent: Any) -> Any | None:
         """Take a goal back, and wait until its rollout is closed; its end, or None if it does not come in time."""

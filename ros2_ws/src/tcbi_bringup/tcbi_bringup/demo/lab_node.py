@@ -24,6 +24,7 @@ from tcbi_msgs.srv import LoadPolicy
 
 APPEAR_S = 60.0  # for a node to appear
 ANSWER_S = 30.0  # for a service to answer
+ASK_AGAIN_S = 20.0  # for the end of a goal
 POLL_S = 0.02
 
 Feedback = Callable[[Any], None]
@@ -125,15 +126,18 @@ class LabNode(Node):
         handle = sent.result()
         if not handle.accepted:
             raise DemoError("an action server refused its goal; is another one under way?")
-        done = self._spun(handle.get_result_async)
+        asked: list[Any] = []
         try:
-            _until(done.done, float("inf"), "")
+            while not any(future.done() for future in asked):  # the middleware may lose a question or its answer
+                asked.append(self._spun(handle.get_result_async))
+                with contextlib.suppress(DemoError):
+                    _until(lambda: any(future.done() for future in asked), ASK_AGAIN_S, "")
         except KeyboardInterrupt:
             cancelled = self._spun(handle.cancel_goal_async)
             with contextlib.suppress(DemoError):
                 _until(cancelled.done, 2.0, "no answer to a cancellation")
             raise
-        return done.result().result
+        return next(future.result().result for future in asked if future.done())
 
 
 def _until(
