@@ -171,10 +171,11 @@ def dispatch(words: list[str]) -> int:
             module.prepare(args)
         check_task(args)
         if not getattr(args, "json", False):
-            return int(module.run(args))
+            with workers_of(args):
+                return int(module.run(args))
         from tcbi_bringup.commands import console
 
-        with console.json_only():
+        with console.json_only(), workers_of(args):
             return int(module.run(args))
 
 
@@ -203,6 +204,19 @@ def store_of(args: argparse.Namespace) -> Iterator[None]:
             os.environ.pop("TCBI_STORE", None)
         else:
             os.environ["TCBI_STORE"] = before
+
+
+@contextlib.contextmanager
+def workers_of(args: argparse.Namespace) -> Iterator[None]:
+    """`--workers` as those that everything is simulated by that the command simulates."""
+    where = getattr(args, "workers", "")
+    if not where:
+        yield
+        return
+    from tcbi_sim.workers import workers
+
+    with workers(where):
+        yield
 
 
 def parser_for(command: Command, module: ModuleType) -> argparse.ArgumentParser:

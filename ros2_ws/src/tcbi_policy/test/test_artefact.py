@@ -49,6 +49,14 @@ def test_targets_stay_within_the_joint_range() -> None:
     assert np.abs(targets).max() <= HEXAPOD.limit
 
 
+@pytest.mark.parametrize("size", [1, 5, 31, 33, 64])
+def test_no_bit_of_a_target_depends_on_how_many_others_are_asked_for(size: int) -> None:
+    mlp, observation = network(), np.random.default_rng(1).normal(0, 0.3, (100, 21))
+    parts = [mlp(observation[i : i + size]) for i in range(0, 100, size)]
+    assert np.array_equal(np.concatenate(parts), mlp(observation))
+    assert np.array_equal(mlp(observation[7]), mlp(observation)[7]), "nor on the axes"
+
+
 def test_what_is_saved_is_what_is_loaded(tmp_path: Path) -> None:
     path = saved(tmp_path, model="hexapod-v3", curve=[{"steps": 1.0, "mean_return": 2.0}])
     policy = load_policy(path)

@@ -5,13 +5,15 @@
     out = simulate(model, values, scenarios, controller=policy)                     # closed loop at 5 Hz
     out.joint_position                                                              # (N, S, T, J)
 
-Parameters are physical values in the model's order. Results are bit-identical at any number of threads.
+Parameters are physical values in the model's order. Results are bit-identical at any number of threads, and wherever
+the chunks are worked on (tcbi_sim.workers).
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples
 from tcbi_sim.simulator import Simulator
 from tcbi_sim.structure import compile_structure, edited_spec
+from tcbi_sim.workers import chunk_size, present
 
 __all__ = ["Controller", "SimulatedRollouts", "Simulator", "compile_structure", "edited_spec", "simulate"]
 
@@ -138,22 +141,58 @@ def simulate(
     if commands is not None and len(commands) != s:
         raise SimError(f"{s} scenarios need {s} command sequences, got {len(commands)}")
     rows, columns = (np.arange(n), np.arange(n)) if pairing == "zip" else map(np.ravel, np.indices((n, s)))
-    parts = []
-    for begin in range(0, len(rows), chunk):
-        block = slice(begin, begin + chunk)
-        picked = [scenarios[c] for c in columns[block]]
-        simulator = Simulator(model, parameters[rows[block]], picked, timestep, threads, rate, solver)
-        if controller is not None:
-            parts.append(_closed_loop(simulator, controller, begin))
-        else:
-            assert commands is not None
-            parts.append(_open_loop(simulator, [commands[c] for c in columns[block]]))
-        if progress:
-            progress(min(1.0, (begin + chunk) / len(rows)))
+    size = chunk if controller is not None else _chunk_size(scenarios, commands or (), len(rows), timestep, chunk)
+    chunks = [
+        Chunk(
+            begin,
+            parameters[rows[begin : begin + size]],
+            [scenarios[c] for c in columns[begin : begin + size]],
+            None if commands is None else [commands[c] for c in columns[begin : begin + size]],
+        )
+        for begin in range(0, len(rows), size)
+    ]
+    work = functools.partial(_simulated, model, controller, timestep, threads, rate, solver)
+    parts = present().map(work, chunks, progress)
     return _gather(load_rig(model.rig), list(scenarios), parts, (n, 1) if pairing == "zip" else (n, s))
 
 
 Part = tuple[Samples, np.ndarray, np.ndarray, np.ndarray]  # samples, command times, commands, diverged
+
+
+class Chunk(NamedTuple):
+    """Simulations that are worked on together."""
+
+    offset: int  # of the first one in its call
+    parameters: np.ndarray
+    scenarios: list[Scenario]
+    commands: list[Commands] | None
+
+
+def _chunk_size(
+    scenarios: Sequence[Scenario], commands: Sequence[Commands], count: int, timestep: float, most: int
+) -> int:
+    """Simulations in a chunk of open loop: as they suit the workers, where none has to wait for another one's end."""
+    if len({(s.duration, s.settle) for s in scenarios}) > 1 or len({c.ramp for c in commands}) > 1:
+        return most
+    return chunk_size(count, sum((s.duration + s.settle) / timestep for s in scenarios[:1]), most)
+
+
+def _simulated(
+    model: Model,
+    controller: Controller | None,
+    timestep: float,
+    threads: int,
+    rate: float | None,
+    solver: Mapping[str, Any] | None,
+    chunk: Chunk,
+) -> Part:
+    """What a chunk's simulations do; of the others in the call it knows nothing."""
+    threads = present().threads or threads
+    simulator = Simulator(model, chunk.parameters, chunk.scenarios, timestep, threads, rate, solver)
+    if controller is not None:
+        return _closed_loop(simulator, controller, chunk.offset)
+    assert chunk.commands is not None
+    return _open_loop(simulator, chunk.commands)
 
 
 def _closed_loop(simulator: Simulator, controller: Controller, offset: int) -> Part:

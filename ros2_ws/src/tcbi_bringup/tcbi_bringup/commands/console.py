@@ -90,6 +90,28 @@ def add_task(parser: argparse.ArgumentParser, use: str = "", default: str = "", 
     parser.add_argument("--task", default=default, required=required, help=text)
 
 
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """`--workers WHERE`; `cli` has them ready while the command runs."""
+    parser.add_argument(
+        "--workers",
+        type=_workers,
+        metavar="WHERE",
+        help="simulate with Ray, an optional extra (docs/scale.md), with the same results: ray (this machine), "
+        "ray:HOST:PORT (a cluster by its head's address), ray:auto (the cluster that this machine is in); "
+        "default: this process",
+    )
+
+
+def _workers(text: str) -> str:
+    from tcbi_sim.workers import WorkersError, address_of
+
+    try:
+        address_of(text)
+    except WorkersError as e:
+        raise argparse.ArgumentTypeError(str(e).removeprefix("workers: ")) from None
+    return text
+
+
 def load_model(store: "ModelStore", version: str, rig: str = "hexapod") -> "Model":
     """A model version; where none was named, which one is the newest is said on standard error."""
     model = store.load(version, rig)

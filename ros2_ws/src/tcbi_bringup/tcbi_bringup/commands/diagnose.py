@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi diagnose rollouts/* --model hexapod-v1 --report why.html",
         "./tcbi diagnose rollouts/* --effects coulomb_friction,backlash --json",
         "./tcbi diagnose rollouts/* --show backlash                # and which motion would show it best",
+        "./tcbi diagnose rollouts/* --workers ray:HOST:6379          # on a Ray cluster (docs/scale.md)",
     )
     console.add_bags(parser)
     console.add_model(parser)
@@ -34,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick", action="store_true", help="a first answer from few motions: coarse steps, no single joints, two fits"
     )
+    console.add_workers(parser)
     console.add_report(parser)
     parser.add_argument(
         "--seed", type=at_least(0), default=0, help="of the split and of the simulated null data (default: 0)"

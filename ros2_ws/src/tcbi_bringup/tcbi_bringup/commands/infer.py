@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi infer rollouts/* --generations 12             # a narrower posterior, if the data allow it",
         "./tcbi infer rollouts/* --method simopt              # a method to compare with",
         "./tcbi infer rollouts/* --method paper --set alpha=5 # a setting of the method's own",
+        "./tcbi infer rollouts/* --workers ray:HOST:6379      # on a Ray cluster (docs/scale.md)",
     )
     console.add_bags(parser)
     parser.add_argument(
@@ -74,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="a parameter's true value, where it is known: the report shows the error; may be repeated",
     )
+    console.add_workers(parser)
     console.add_report(parser)
     console.add_store(parser)
     console.add_json(parser)

@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--most-false-alarms", type=at_least(0), default=0, metavar="N", help="that may be raised (default: 0)"
     )
     parser.add_argument("--certain", action="store_true", help='"cannot tell" that names the effect counts as missed')
+    console.add_workers(parser)
     console.add_store(parser)
     console.add_json(parser)
 

@@ -6,8 +6,10 @@ hundreds of simulated null data sets cost no further simulation.
 """
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_physical
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import SCATTER
 from tcbi_sim.model import Model
+from tcbi_sim.workers import Here, present
 
 SIZES = (0.1, 0.35)  # of the range on one side of the null value
 CORNERS = (0.2, 0.8)  # of the range of a parameter without a null value
@@ -91,23 +94,16 @@ def simulate_directions(
     """Simulates every use at a few sizes, base parameters at the base fit."""
     reference = problem.replay.predict(base.model, base.parameters[None], list(sets), timestep)[0]
     names = [use.partition(":")[0] for use in uses]
+    candidates = [_candidate(base, nuisance, use, names) for use in uses]
+    predicted = _predictions(problem, base.unit, list(sets), timestep, candidates, progress)
     owner, units, changes, bounds, models, untestable, kept = [], [], [], [], [], [], []
-    for use, name in zip(uses, names, strict=True):
-        model = base.model.with_effect(use)
-        joint = use.partition(":")[2]
-        if name == "gain_scatter" and joint in nuisance.names:  # simulated already
-            scale = model.parameters[-1]
-            points = np.array([[float(scale.to_unit(1.0 + SCREENED_SCATTER * SCATTER))]])
+    for use, (model, points, joint), values in zip(uses, candidates, predicted, strict=True):
+        if joint:
             change = SCREENED_SCATTER * nuisance.effect[sets][..., nuisance.names.index(joint)][None]
         else:
-            points = effect_points(model, len(base.unit), names.count(name) > 1)
-            vectors = np.concatenate([np.repeat(base.unit[None], len(points), axis=0), points], axis=1)
-            predicted = problem.replay.predict(model, to_physical(model, vectors), list(sets), timestep)
-            change = predicted - reference
+            change = values - reference
         change = np.where(problem.weight[list(sets)] > 0, change, 0.0)
         alive = np.isfinite(change).all(axis=(1, 2, 3))
-        if progress:
-            progress(use)
         if _influence(problem, change[alive], sets) < INFLUENCE:
             untestable.append(use)
             continue
@@ -123,6 +119,53 @@ def simulate_directions(
     return Directions(
         tuple(kept), tuple(models), np.array(owner, int), tuple(units), change, least, most, tuple(untestable)
     )
+
+
+class Candidate(NamedTuple):
+    """A use, and where to look at it."""
+
+    model: Model
+    points: np.ndarray  # (n, q)
+    joint: str  # whose scatter was simulated already as a nuisance, else ""
+
+
+def _candidate(base: Fit, nuisance: Nuisance, use: str, names: list[str]) -> Candidate:
+    model = base.model.with_effect(use)
+    name, _, joint = use.partition(":")
+    if name == "gain_scatter" and joint in nuisance.names:
+        return Candidate(
+            model, np.array([[float(model.parameters[-1].to_unit(1.0 + SCREENED_SCATTER * SCATTER))]]), joint
+        )
+    return Candidate(model, effect_points(model, len(base.unit), names.count(name) > 1), "")
+
+
+def _predictions(
+    problem: Problem,
+    unit: np.ndarray,
+    sets: list[int],
+    timestep: float,
+    candidates: list[Candidate],
+    progress: Callable[[str], None] | None,
+) -> list[np.ndarray]:
+    """(n, open sets, T, C) for each candidate: each a chunk for the workers, unless these outnumber them."""
+    them = present() if len(candidates) >= present().processors else Here()
+    count = itertools.count()
+
+    def told(_: float) -> None:
+        if progress:
+            progress(candidates[next(count)].model.effects[-1])
+
+    return them.map(functools.partial(_predicted, problem, unit, sets, timestep), candidates, told)
+
+
+def _predicted(
+    problem: Problem, unit: np.ndarray, sets: list[int], timestep: float, candidate: Candidate
+) -> np.ndarray:
+    model, points, joint = candidate
+    if joint:
+        return np.empty(0)
+    vectors = np.concatenate([np.repeat(unit[None], len(points), axis=0), points], axis=1)
+    return problem.replay.predict(model, to_physical(model, vectors), sets, timestep)
 
 
 def _influence(problem: Problem, change: np.ndarray, sets: np.ndarray) -> float:

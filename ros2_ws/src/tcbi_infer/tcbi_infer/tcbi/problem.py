@@ -8,6 +8,7 @@ recorded commands are replayed). Scripted gaits do not react, so their recorded 
 """
 
 import dataclasses
+import functools
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -31,6 +32,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import multiply
+from tcbi_sim.workers import chunk_size, present
 
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
 LONGEST_STEP = 0.01  # s: fine enough for distributions, a quarter of the cost of a diagnosis
@@ -166,14 +168,10 @@ class Problem:
         size = sum(len(g.measurements) * len(g.time) for g in self.groups) * (
             len(load_rig(self.model.rig).joint_names) + 20
         )
-        step = max(1, int(CHUNK_VALUES / size))
-        features = None
-        for begin in range(0, len(unit), step):
-            part = seen(self, *self._rollouts(unit[begin : begin + step]))
-            features = part if features is None else features.join(part)
-            if progress:
-                progress(min(1.0, (begin + step) / len(unit)))
-        return features
+        steps = sum(len(g.measurements) * len(g.time) for g in self.groups) / (self.rate * self.timestep)
+        step = chunk_size(len(unit), steps, max(1, int(CHUNK_VALUES / size)))
+        chunks = [unit[begin : begin + step] for begin in range(0, len(unit), step)]
+        return _joined(present().map(functools.partial(_seen, self, seen), chunks, progress))
 
     def _rollouts(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
         """Simulated rollouts of each group, and (N,) whether none of a particle's diverged."""
@@ -194,6 +192,17 @@ class Problem:
             valid &= ~rollouts.diverged.any(axis=1)
             groups.append(with_noise(as_arrays(rollouts, group, controller is not None), self.noise, rngs))
         return groups, valid
+
+
+def _seen(problem: Problem, view: "View", unit: np.ndarray) -> Any:
+    """What a method keeps of some particles' rollouts: little beside these, which stay where they were simulated."""
+    return view(problem, *problem._rollouts(unit))
+
+
+def _joined(parts: list[Any]) -> Any:
+    """Halves with halves, so that many parts are not copied with every further one."""
+    half = len(parts) // 2
+    return _joined(parts[:half]).join(_joined(parts[half:])) if half else parts[0]
 
 
 # What a method keeps of simulated rollouts: one `RolloutArrays` a group, (N,) validity -> something with `join`.

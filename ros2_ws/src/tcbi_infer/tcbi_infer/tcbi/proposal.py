@@ -8,6 +8,7 @@ the weights of population Monte Carlo right.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from scipy.special import logsumexp, ndtr, ndtri
 
 from tcbi_infer.tcbi.weights import effective_sample_size, resample
@@ -15,6 +16,7 @@ from tcbi_infer.tcbi.weights import effective_sample_size, resample
 EDGE = 1e-7  # closest a particle comes to its bounds, in shares of the range
 INFLATION = 1.5  # on the kernel's standard deviation: a proposal should be wider than its target
 LEAST_SD = 0.02  # of a kernel, in probit units
+PAIRS = 2**22  # of particle and kernel held at a time
 
 
 class Proposal(NamedTuple):
@@ -115,9 +117,14 @@ def log_density(proposal: Proposal, z: np.ndarray) -> np.ndarray:
 def log_kernels(z: np.ndarray, centers: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """(M,) log-density at (M, P) of normal kernels on (n, P) centers with (n,) weights, constant left out as above."""
     cholesky = np.linalg.cholesky(covariance)
-    whitened = np.linalg.solve(cholesky, (z[:, None] - centers).reshape(-1, z.shape[1]).T).T
-    squares = np.sum(whitened**2, axis=-1).reshape(len(z), -1)
-    return logsumexp(-0.5 * squares, b=weights, axis=1) - np.log(np.diag(cholesky)).sum()
+    whitened, there = (np.linalg.solve(cholesky, points.T).T for points in (z, centers))
+    rows = max(1, PAIRS // len(centers))
+    parts = []
+    for begin in range(0, len(z), rows):
+        squares = cdist(whitened[begin : begin + rows], there, "sqeuclidean")
+        nearest = squares.min(axis=1)
+        parts.append(np.log(np.exp(-0.5 * (squares - nearest[:, None])) @ weights) - 0.5 * nearest)
+    return np.concatenate(parts) - np.log(np.diag(cholesky)).sum()
 
 
 def log_mixture(proposals: tuple[Proposal, ...], z: np.ndarray) -> np.ndarray:
