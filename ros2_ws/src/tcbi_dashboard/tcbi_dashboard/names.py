@@ -4,4 +4,4 @@ COMPARISON = "compare-"  # folders, one for each comparison
 SUMMARY = "summary.json"
 DIAGNOSIS = "diagnosis-"  # files, as `tcbi_infer.diagnose.adopt` writes them
 MOMENTS = "moments-"  # the worst moments of the diagnosis of the same name
-MEASURED = "history-"  # file of a rig: the errors of its versions as they were last measured
+MEASURED = "history-"  # file of a rig, as `tcbi_infer.compare.history` writes it

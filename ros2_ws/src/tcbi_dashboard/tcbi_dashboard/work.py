@@ -6,17 +6,14 @@ Its events, as `tcbi_infer.worker_process` passes them on: `progress`, then `res
 """
 
 import dataclasses
-import json
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tcbi_dashboard.names import MEASURED
 from tcbi_dashboard.task import ADD, COLLECT, COMPARE, DIAGNOSE, HISTORY, INFER, REMOVE, RETRAIN, Task
-from tcbi_infer.worker_process import Emit, finite, serve
+from tcbi_infer.worker_process import Emit, serve
 from tcbi_sim.store import ModelStore
 
 READY_S = 10.0  # for the recorder of the graph to be there
@@ -123,7 +120,7 @@ def run_remove(task: Task, emit: Emit) -> None:
 
 def run_history(task: Task, emit: Emit) -> None:
     """Every version's error, on the rollouts given that no fit has seen."""
-    from tcbi_infer.compare.history import history
+    from tcbi_infer.compare.history import history, remember
     from tcbi_infer.errors import InferError
     from tcbi_infer.report import Report, add_history, file_name
     from tcbi_infer.seen import used_before
@@ -153,16 +150,8 @@ def run_history(task: Task, emit: Emit) -> None:
     report = Report("Model versions", told)
     add_history(report, rows, lines[0].floor_from_replicates)
     report.write(store.folder("reports") / file_name("history", versions[-1].version, lines[0].rollouts))
-    content = {
-        "rig": rig,
-        "given": len(measurements),
-        "not_counted": [m.rollout_id for m in measurements if m.rollout_id in seen],
-        "lines": [dataclasses.asdict(v) for v in lines],
-    }
-    path = store.folder("runs") / f"{MEASURED}{rig}.json"
-    work = path.with_suffix(".part")
-    work.write_text(json.dumps(finite(content)), encoding="utf-8")
-    os.replace(work, path)
+    not_counted = [m.rollout_id for m in measurements if m.rollout_id in seen]
+    path = remember(lines, store.folder("runs"), rig, not_counted)
     emit("result", file=str(path))
 
 

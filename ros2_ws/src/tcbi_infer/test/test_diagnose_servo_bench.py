@@ -1,12 +1,14 @@
 """A diagnosis from end to end on a servo bench whose truth is known; another time step plays the robot."""
 
+import json
+
 import numpy as np
 import pytest
 from bench_recordings import BASE, NOISE, record
 
 from tcbi_infer.compare import compare
 from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
-from tcbi_infer.compare.history import history
+from tcbi_infer.compare.history import VersionError, history, remember
 from tcbi_infer.diagnose import Diagnosis, adopt, diagnose
 from tcbi_infer.errors import InferError
 from tcbi_sim.model import base_model
@@ -53,6 +55,13 @@ def test_history_never_compares_on_rollouts_that_a_fit_has_seen(late):
     lines = history([base_model("servo_bench"), adopted(late)], record(truth, np.r_[BASE, 0.06]))
     assert set(lines[0].rollouts) == set(late.sealed)
     assert lines[1].error_over_floor < 1.3 < lines[0].error_over_floor
+
+
+def test_what_was_measured_last_is_kept_for_the_dashboard(tmp_path):
+    lines = [VersionError("bench-v0", None, (), 7.0, ("a", "b"), True), VersionError("bench-v1", "bench-v0", (), None)]
+    kept = json.loads(remember(lines, tmp_path, "bench", ["seen"]).read_text())
+    assert (kept["rig"], kept["given"], kept["not_counted"]) == ("bench", 3, ["seen"])
+    assert [(v["model"], v["error_over_floor"]) for v in kept["lines"]] == [("bench-v0", 7.0), ("bench-v1", None)]
 
 
 def test_a_diagnosis_of_another_model_is_refused(late):

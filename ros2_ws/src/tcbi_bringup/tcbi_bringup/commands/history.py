@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Load every version, compare, report, print."""
     from tcbi_infer.bags.reader import read_measurements
-    from tcbi_infer.compare.history import history
+    from tcbi_infer.compare.history import history, remember
     from tcbi_infer.report import Report, add_history, file_name
     from tcbi_sim.errors import UnknownNameError
     from tcbi_sim.store import ModelStore
@@ -57,6 +57,9 @@ def run(args: argparse.Namespace) -> int:
         for v in lines
     ]
     measured = bool(lines[0].rollouts)
+    if measured:
+        not_counted = [m.rollout_id for m in measurements if m.rollout_id not in lines[0].rollouts]
+        remember(lines, store.folder("runs"), rig, not_counted)
     told = "" if measured else f" {KEPT}"
     report = Report("Model versions", f"The error of each version on rollouts that no fit has seen.{told}")
     add_history(report, rows, lines[0].floor_from_replicates)

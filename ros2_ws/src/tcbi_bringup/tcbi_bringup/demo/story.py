@@ -21,6 +21,8 @@ from tcbi_contract.wording import with_unit
 from tcbi_infer import posterior
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
+from tcbi_infer.compare.history import VersionError
+from tcbi_infer.compare.history import remember as remember_errors
 from tcbi_infer.diagnose.adopt import adopt, remember
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
@@ -197,6 +199,7 @@ class Story:
             robot.result()
         change = f"return {mean_return(out.before):.0f} -> {mean_return(out.after):.0f}"
         self.say(f"{change}, final inclination {tilt(out.before):.1f} -> {tilt(out.after):.1f} deg on the robot")
+        self._remember_errors()
         ladder = ", ".join(f"{v} {c.error_over_floor:.1f}" for v, c in out.errors.items())
         self.say(f"error over the noise floor on motions that no fit has seen: {ladder}")
 
@@ -261,6 +264,15 @@ class Story:
         remember(diagnosis, self.out.store.folder("runs"))
         self.say(diagnosis.statement)
         return diagnosis
+
+    def _remember_errors(self) -> None:
+        """Keep the versions' errors where the dashboard looks for them."""
+        out = self.out
+        lines = [
+            VersionError(m.version, m.parent, m.effects, c.error_over_floor, c.rollouts, c.floor.from_replicates)
+            for m, c in zip(out.models, out.errors.values(), strict=True)
+        ]
+        remember_errors(lines, out.store.folder("runs"), out.models[0].rig)
 
     def _add(self, model: Model, diagnosis: Diagnosis) -> Model:
         """The next version: with the effect that the verdict names, or the base model at its fitted parameters."""

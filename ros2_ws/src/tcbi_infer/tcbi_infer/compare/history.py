@@ -1,15 +1,21 @@
 """The error of every model version, on rollouts that no fit has seen."""
 
 import dataclasses
+import json
+import os
 from collections.abc import Sequence
+from pathlib import Path
 
 from tcbi_infer.compare.comparison import error_figure
 from tcbi_infer.compare.ladder import seen_by
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.seen import used_before
+from tcbi_infer.worker_process import finite
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
+
+PREFIX = "history-"  # file of a rig: the errors of its versions as they were last measured
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +53,28 @@ def history(models: Sequence[Model], measurements: Sequence[Measurement] = ()) -
         VersionError(m.version, m.parent, m.effects, error_figure(m, unseen, floor=floor), names, floor.from_replicates)
         for m in models
     ]
+
+
+def remember(lines: Sequence[VersionError], folder: Path, rig: str, not_counted: Sequence[str] = ()) -> Path:
+    """Keep what was measured last, for the dashboard.
+
+    Args:
+      lines: of all versions, measured on the same rollouts.
+      folder: `runs` of the store.
+      rig: of the versions.
+      not_counted: rollouts that were given too, but that a fit has seen.
+    """
+    content = {
+        "rig": rig,
+        "given": len(lines[0].rollouts) + len(not_counted),
+        "not_counted": list(not_counted),
+        "lines": [dataclasses.asdict(line) for line in lines],
+    }
+    path = folder / f"{PREFIX}{rig}.json"
+    work = path.with_suffix(".part")
+    work.write_text(json.dumps(finite(content)), encoding="utf-8")
+    os.replace(work, path)
+    return path
 
 
 def _floor(model: Model, measurements: Sequence[Measurement]) -> NoiseFloor:
