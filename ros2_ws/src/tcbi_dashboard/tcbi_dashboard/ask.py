@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from nicegui import ui
 
-from tcbi_dashboard.elements import words
+from tcbi_dashboard.elements import window, words
 
 
 def ask(title: str, sentences: Sequence[str], answers: Sequence[tuple[str, Callable[[], None]]]) -> None:
@@ -20,7 +20,7 @@ def ask(title: str, sentences: Sequence[str], answers: Sequence[tuple[str, Calla
         dialog.close()
         action()
 
-    with ui.dialog() as dialog, ui.element("div").classes("tcbi-card").style("max-width: 34rem"):
+    with window("max-width: 34rem") as dialog:
         words(title, "h2")
         for sentence in sentences:
             words(sentence)
@@ -28,5 +28,3 @@ def ask(title: str, sentences: Sequence[str], answers: Sequence[tuple[str, Calla
             for i, (label, action) in enumerate(answers):
                 ui.button(label, on_click=lambda action=action: answered(action)).props("outline" if i else "")
             ui.button("Cancel", on_click=dialog.close).props("flat")
-    dialog.on("hide", dialog.delete)
-    dialog.open()

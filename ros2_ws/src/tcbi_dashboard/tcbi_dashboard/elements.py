@@ -1,7 +1,8 @@
 """Parts that several views share: charts, cards, empty states, the two elements that draw in 3D."""
 
+import contextlib
 import html
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,15 @@ def card(title: str = "", width: str = "") -> ui.element:
     return element
 
 
+@contextlib.contextmanager
+def window(style: str) -> Iterator[ui.dialog]:
+    """A dialog, to be filled in a `with`, that is open then; it outlives what is drawn anew beneath it."""
+    with ui.context.client.content, ui.dialog() as dialog, ui.element("div").classes("tcbi-card").style(style):
+        yield dialog
+    dialog.on("hide", dialog.delete)
+    dialog.open()
+
+
 def words(said: str, tag: str = "p", classes: str = "") -> ui.html:
     """Plain text in an element of its own."""
     return ui.html(html.escape(said), tag=tag, sanitize=False).classes(classes)
@@ -162,5 +172,6 @@ __all__ = [
     "say",
     "soft",
     "table",
+    "window",
     "words",
 ]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from nicegui import ui
 
-from tcbi_dashboard.elements import soft, words
+from tcbi_dashboard.elements import soft, window, words
 from tcbi_dashboard.session import Session
 from tcbi_infer.bags.glance import Glance
 
@@ -74,7 +74,7 @@ class Picker:
         columns = [
             {"name": c, "label": label, "field": c, "sortable": True, "align": "left"} for c, label in COLUMNS.items()
         ]
-        with ui.dialog() as dialog, ui.element("div").classes("tcbi-card").style("max-width: 1240px; width: 96vw"):
+        with window("max-width: 1240px; width: 96vw") as dialog:
             words("Rollouts", "h2")
             soft(
                 "A diagnosis needs several kinds of motion, five or more at best, each recorded twice. A version is "
@@ -107,8 +107,6 @@ class Picker:
                 ui.button("None", on_click=lambda: select([])).props("flat")
             narrow.bind_value_to(grid, "filter", forward=lambda v: v or "")
             select([r for r in rows if r["path"] in chosen])
-        dialog.on("hide", dialog.delete)
-        dialog.open()
 
     def _use(self, dialog: ui.dialog, grid: ui.table) -> None:
         self.session.chosen = {r["path"] for r in usable(grid.selected)}

@@ -28,6 +28,7 @@ class AddView(View):
     def __init__(self, session: Session, live: Live) -> None:
         super().__init__(session)
         self._shown_version = ""  # to look at; the newest unless one was asked for
+        self._known: list[str] = []  # versions
         self.retrain = RetrainCard(session, live, self.start)
 
     def build(self) -> None:
@@ -50,7 +51,7 @@ class AddView(View):
         """What the view depends on."""
         job = self.bench.work.job
         ended = job.ended if job else None
-        return tuple(self.session.versions()), self.bench.diagnosis(), ended, self._shown_version
+        return tuple(self.session.versions()), self.bench.diagnosis(), ended
 
     def tick(self) -> None:
         """Twice a second while it is seen."""
@@ -120,6 +121,7 @@ class AddView(View):
 
     def _look_at(self, version: str) -> None:
         self._shown_version = version
+        self._show_parameters()
         ui.notify(f"What is known of {version} is shown below.")
 
     def _start(self, wanted: task.Task) -> None:
@@ -137,14 +139,23 @@ class AddView(View):
         except TcbiError as e:
             ui.notify(str(e), type="warning")
             return
-        known = [p.model for p in line.points]
-        chosen = self._shown_version if self._shown_version in known else known[-1]
+        self._known = [p.model for p in line.points]
         self.history.clear()
         with self.history:
             self._show_history(line)
         self.details.clear()
         with self.details:
             self._show_table(line, what)
+            self.parameters = ui.element("div").classes("tcbi-same")
+        self._show_parameters()
+
+    def _show_parameters(self) -> None:
+        store, known = self.bench.store, self._known
+        if not known:  # nothing has been drawn yet
+            return
+        chosen = self._shown_version if self._shown_version in known else known[-1]
+        self.parameters.clear()
+        with self.parameters:
             show_difference(store, known, chosen)
             show_posterior(store, known, chosen)
 
