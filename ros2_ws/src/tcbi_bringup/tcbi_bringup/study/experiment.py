@@ -23,6 +23,7 @@ from tcbi_bringup.errors import BringupError
 from tcbi_bringup.study.notebook import Key, Notebook, Result
 from tcbi_bringup.study.plan import CONTESTANTS, FIRST, WINNER, Plan
 from tcbi_bringup.study.robots import Laboratory, Order
+from tcbi_infer import posterior
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.collection import Request, scenario_of
@@ -135,7 +136,7 @@ class Experiment:
         )  # fmt: skip
         budget: dict[str, Any] = {"particles": plan.particles, "generations": plan.generations}
         result = infer(problem, method.name, seed=robot, folder=self.store.folder("runs"), **budget)
-        saved = self.store.save(result.updated_model())
+        saved = posterior.save(self.store, result)
         return {
             "model": saved.version, "seconds": result.seconds, "simulations": result.simulations, "ess": result.ess,
             "closed_loop": result.closed_loop, "generations": [_moments(g) for g in result.generations],
