@@ -253,7 +253,9 @@ def test_the_robot_is_seen_stopped_and_its_unplugging_noticed(tmp_path, look, do
         page.get_by_role("button", name="Reset the robot").wait_for(state="hidden")
 
         phone = look(server, "why", width=390)
-        phone.get_by_role("button", name="STOP", exact=True).click()
+        phone.get_by_role("button", name="Choose rollouts").click()
+        phone.get_by_placeholder("filter").wait_for()
+        phone.get_by_role("button", name="STOP", exact=True).click()  # over an open dialog, too
         phone.get_by_role("button", name="STOPPED", exact=True).wait_for()
         page.get_by_text("STOPPED: torque is off").wait_for()
         assert fits(phone)
