@@ -116,15 +116,20 @@ def test_a_killed_recorder_loses_at_most_the_last_second(start_graph, peer, tmp_
     graph: Graph = start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
     seen = peer.collect(names.JOINT_STATES, JointState, messages.STREAM_QOS)
     begun = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
-    collection = Collection(peer, task="balance", number=1, seed=1, duration_s=60.0)
-    peer.wait_until(lambda: bool(begun), "BEGIN")
-    begin = messages.seconds(begun[0].header.stamp)
-    peer.wait_until(lambda: bool(seen) and messages.seconds(seen[-1].header.stamp) > begin + 3.0, "3 s of the rollout")
+    for _ in range(3):  # a busy machine may hold up the policy, which ends a rollout
+        begun.clear()
+        collection = Collection(peer, task="balance", number=1, seed=1, duration_s=60.0)
+        peer.wait_until(lambda: bool(begun), "BEGIN")
+        begin = messages.seconds(begun[0].header.stamp)
+        ends = begin + 3.0
+        peer.wait_until(lambda ends=ends: bool(seen) and messages.seconds(seen[-1].header.stamp) > ends, "3 s of it")
+        if any((tmp_path / "bags").glob("*.recording")):
+            break
     graph.send_signal("recorder_node", signal.SIGKILL)
     last = messages.seconds(seen[-1].header.stamp)
     assert graph.wait_for_exit("recorder_node", 10.0) == -signal.SIGKILL
     assert collection.handle.accepted
-    left = next((tmp_path / "bags").glob("*.recording"))
+    (left,) = (tmp_path / "bags").glob("*.recording")
     m = read_measurement(left)
     assert begin + m.time[-1] > last - 1.0
     copy = Path(shutil.copytree(left, tmp_path / "copy" / left.name))
