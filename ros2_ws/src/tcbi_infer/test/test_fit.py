@@ -37,14 +37,18 @@ def test_a_fit_is_never_worse_than_its_best_start(fitter):
     assert fitter.run(starts, steps=(0.05,)).total <= min(losses)
 
 
-def test_a_step_that_does_what_was_expected_needs_no_other(fitter, monkeypatch):
+def test_a_longer_step_is_tried_where_the_whole_one_is_good_and_a_shorter_one_where_it_is_not(fitter, monkeypatch):
     tried = []
     predict = Fitter.predict
-    monkeypatch.setattr(
-        Fitter, "predict", lambda self, unit: tried.append(len(np.atleast_2d(unit))) or predict(self, unit)
-    )
-    fitter.run((to_unit(MODEL, BASE) + 0.01)[None], steps=(0.02,))
-    assert tried == [1, 6, 1]  # the start, both ways along three parameters, the whole step
-    tried.clear()
-    fitter.run(np.array([[0.95, 0.05, 0.05]]), steps=(0.02,))
-    assert tried[:2] == [1, 6] and len(tried) > 3  # so far off, slopes say too little
+
+    def watched(self, unit):
+        tried.append(np.atleast_2d(unit))
+        return predict(self, unit)
+
+    monkeypatch.setattr(Fitter, "predict", watched)
+    for start, longer in ((to_unit(MODEL, BASE) + 0.03, True), (np.array([0.58, 0.11, 0.44]), False)):
+        tried.clear()
+        fitter.run(start[None], steps=(0.02,))
+        at_start, slopes, whole, other = tried
+        assert len(at_start) == len(whole) == len(other) == 1 and len(slopes) == 6
+        assert (np.linalg.norm(other - start) > np.linalg.norm(whole - start)) == longer

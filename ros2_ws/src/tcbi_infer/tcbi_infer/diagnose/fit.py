@@ -16,8 +16,8 @@ from tcbi_sim.model import Model
 
 STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
 CLOSE_STEPS = (0.05, 0.05, 0.03, 0.03, 0.03)  # from a good start; a fit that has converged ends before
-STRETCH = (2.0, 0.4)  # of the Gauss-Newton step, where the whole step does not do what was expected of it
-BETTER, WORSE = 1.2, 0.5  # of the expected fall of the loss
+STRETCH = (2.0, 0.4)  # of the Gauss-Newton step: the longer one where the whole step is good, else the shorter one
+GOOD = 0.5  # of the fall of the loss that the slopes promise
 TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with a step
 TOGETHER_STEP = 0.04  # of a range: only while the steps are as wide as this
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
@@ -203,7 +203,8 @@ class Fitter:
           starts: (N, P) in [0, 1].
           nuisance: (Q,) to start from.
           steps: of the finite differences, one for each iteration; equal ones in a row share their slopes.
-          stretch: other multiples of each step, tried where the step itself does not do what was expected.
+          stretch: other multiples of each step: a longer one is tried where the loss falls as the slopes promise
+            (these count less where they bend, so steps are short), a shorter one where it does not.
           known: slopes and bends from elsewhere, which then serve for all iterations.
         """
         delta = np.zeros(self.nuisance.effect.shape[-1]) if nuisance is None else nuisance.copy()
@@ -223,7 +224,7 @@ class Fitter:
             expected = before - self._total(straight, delta + move_delta, scale)
             best = Trial(unit, delta, predicted, before)
             for share in (1.0, *stretch):
-                if share != 1.0 and not _worth_trying(share, before - best.total, expected):
+                if share != 1.0 and (share > 1.0) != (before - best.total > GOOD * expected):
                     continue
                 places = self._places(unit, share * move, step >= TOGETHER_STEP and share == 1.0)
                 best = min([best, *self._tried(places, delta + share * move_delta, scale)], key=lambda t: t.total)
@@ -339,11 +340,6 @@ class Fitter:
         return Fit(
             self.model, unit, delta, predicted, residual, loss, scale, normal, slope, square, jacobian, bend, converged
         )
-
-
-def _worth_trying(share: float, fall: float, expected: float) -> bool:
-    """Whether a longer or shorter step may do better than the whole one, whose loss fell by so much."""
-    return fall > BETTER * expected + SMALL_GAIN if share > 1.0 else fall < WORSE * expected - SMALL_GAIN
 
 
 def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:
