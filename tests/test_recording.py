@@ -12,70 +12,23 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.action import ActionClient
-from rclpy.task import Future
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_contract import messages, names
 from tcbi_contract.names import JOINTS
-from tcbi_infer import collect_client
 from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.bags.recovery import recover
 from tcbi_infer.bags.scan import Scan
 from tcbi_infer.bags.schemas import typestore
-from tcbi_infer.names import DISTANCE, PLACE_ROBOT
-from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import RolloutEvent
-from tcbi_msgs.srv import ResetEpisode
+from tests.recording_cases import Collection, recorder, simulation
 
 pytestmark = pytest.mark.graph
-
-
-def recorder(folder: Path, lockstep: bool = True, **parameters) -> NodeProcess:
-    values = {"folder": str(folder), "use_sim_time": lockstep, "min_free_mb": 1.0, **parameters}
-    return NodeProcess("tcbi_infer", "recorder_node", parameters=values)
-
-
-def simulation(folder: Path, lockstep: bool = True) -> tuple[NodeProcess, NodeProcess]:
-    clock = {"use_sim_time": True} if lockstep else {}
-    store = {"store": str(folder / "store")}
-    mode = {"mode": "lockstep" if lockstep else "realtime"}
-    return (
-        NodeProcess("tcbi_sim", "sim_node", parameters={**mode, **store}),
-        NodeProcess("tcbi_policy", "policy_node", parameters={**store, **clock, "policy": "gait:tripod"}),
-    )
-
-
-class Collection:
-    """A goal of `collect_rollouts` and its answer."""
-
-    def __init__(self, peer, **goal) -> None:
-        self.peer, self.told = peer, []
-        self._client = ActionClient(peer.node, CollectRollouts, names.COLLECT_ROLLOUTS)
-        peer.wait_until(self._client.server_is_ready, "the recorder's action")
-        sent = self._client.send_goal_async(
-            CollectRollouts.Goal(**goal), feedback_callback=lambda m: self.told.append(m.feedback)
-        )
-        self.handle = peer.result(sent, "the answer to the goal")
-        self._asked = [self.handle.get_result_async()] if self.handle.accepted else []
-
-    def ended(self) -> bool:
-        return any(future.done() for future in self._asked)
-
-    def result(self):
-        for _ in range(9):  # the middleware may lose a question or its answer
-            if self.peer.comes(self.ended, 10.0):
-                break
-            self._asked.append(self.handle.get_result_async())
-        assert self.ended(), "the end of the collection did not come"
-        answer = next(future for future in self._asked if future.done()).result()
-        return answer.status, answer.result
 
 
 def contents(bag: Path) -> dict[str, np.ndarray]:
@@ -254,89 +207,6 @@ def test_a_disk_that_fills_up_in_a_rollout_costs_its_end_alone(start_graph, peer
     resource.prlimit(pid, resource.RLIMIT_FSIZE, unlimited)  # somebody made room
     status, result = Collection(peer, task="balance", number=1, seed=3).result()
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message
-
-
-class Robot:
-    """A robot without a tracker that cannot tilt its ground, and somebody who can."""
-
-    def __init__(self, peer) -> None:
-        self.peer, self.resets, self.placed = peer, 0, []
-        self.joints = peer.node.create_publisher(JointState, names.JOINT_STATES, messages.STREAM_QOS)
-        peer.node.create_service(ResetEpisode, names.RESET_EPISODE, self.reset)
-        peer.node.create_service(ResetEpisode, PLACE_ROBOT, self.place)
-        peer.node.create_timer(0.02, self.measure)
-
-    def now(self):
-        return self.peer.node.get_clock().now().to_msg()
-
-    def measure(self) -> None:
-        self.joints.publish(messages.joint_state(self.now(), [0.1] * 18))
-
-    def reset(self, request, response):
-        self.resets += 1
-        response.success, response.source = self.resets > 1, "driver"
-        response.message, response.stamp = "still connecting", self.now()
-        return response
-
-    def place(self, request, response):
-        self.placed.append(request.slope_roll)
-        response.success, response.stamp = True, self.now()
-        return response
-
-
-def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_graph, peer, tmp_path):
-    start_graph(recorder(tmp_path / "bags", lockstep=False, distance_timeout_s=30.0))
-    robot = Robot(peer)
-    entered = peer.publisher(DISTANCE, Float64, 10)
-    goal = {"task": "balance", "number": 1, "policy": "none", "duration_s": 1.0, "slope_roll": [0.25]}
-    collection = Collection(peer, **goal)
-    peer.wait_until(lambda: bool(collection.told) and collection.told[-1].remaining_s == 0, "the end of the rollout")
-    entered.publish(Float64(data=0.42))
-    status, result = collection.result()
-    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
-    assert robot.resets == 2 and robot.placed == [0.25, 0.25], "hands free the legs of a robot that fails its reset"
-    m = read_measurement(result.bags[0])
-    assert (m.distance, m.source, m.policy_id, m.scenario.slope_roll) == (0.42, "driver", "", 0.25)
-    assert m.scenario.duration == 1.0 and 0.9 < m.time[-1] <= 1.0
-
-
-class SlowRobot(Robot):
-    """Its first answer comes too late, as one comes never whose asker the middleware had not discovered."""
-
-    def reset(self, request, response):
-        if self.resets == 0:
-            time.sleep(1.2)
-        self.resets += 1
-        response.success, response.source, response.stamp = self.resets == 2, "sim", self.now()
-        response.message = "the answer to the first request"
-        return response
-
-
-def test_a_service_that_does_not_answer_is_asked_once_more_and_its_last_answer_counts(start_graph, peer, tmp_path):
-    start_graph(recorder(tmp_path / "bags", lockstep=False, service_timeout_s=2.0))
-    robot = SlowRobot(peer)
-    goal = {"task": "balance", "number": 1, "policy": "none", "duration_s": 0.5}
-    status, result = Collection(peer, **goal).result()
-    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
-    assert robot.resets == 2
-
-
-def test_the_end_of_a_collection_is_asked_for_again_where_the_first_question_is_lost(domain, monkeypatch):
-    class Goal:
-        def __init__(self) -> None:
-            self.asked: list[Future] = []
-
-        def get_result_async(self) -> Future:
-            self.asked.append(Future())
-            if len(self.asked) == 2:
-                self.asked[-1].set_result("the end")
-            return self.asked[-1]
-
-    monkeypatch.setattr(collect_client, "ASK_AGAIN_S", 0.3)
-    goal = Goal()
-    with collect_client.CollectClient(domain) as client:
-        assert client._end(goal).result() == "the end"
-    assert len(goal.asked) == 2
 
 
 def test_another_programs_events_are_recorded_too(start_graph, peer, tmp_path):

@@ -5,28 +5,16 @@ import json
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tcbi_bringup import cli
-from tcbi_infer.bags.measurement_writer import write_measurement
-from tcbi_sim.engine import simulate
-from tcbi_sim.measurement import Commands, Scenario
-from tcbi_sim.model import base_model
 from tcbi_sim.workers import Here, present
-
-RIG = "servo_bench"
+from tests.servo_bags import steps_bags
 
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder, model, times = tmp_path_factory.mktemp("bags"), base_model(RIG), np.arange(0.0, 2.0, 0.4)
-    commands = [Commands(times, np.random.default_rng(i).uniform(-1, 1, (len(times), 1))) for i in range(4)]
-    scenarios = [Scenario("steps", 2.0, seed=i) for i in range(4)]
-    rollouts = simulate(model, model.from_unit(np.full(3, 0.4)), scenarios, commands=commands, timestep=0.005)
-    for i in range(4):
-        write_measurement(folder, rollouts.measurement(0, i, f"steps_{i}", "steps"))
-    return folder
+    return steps_bags(tmp_path_factory.mktemp("bags"))
 
 
 @pytest.mark.parametrize("command", ["infer", "diagnose", "selftest"])

@@ -1,0 +1,101 @@
+"""A collection where others place the robot, where a service is slow, and where its end is lost on the way."""
+
+import time
+
+import pytest
+from action_msgs.msg import GoalStatus
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from tcbi_contract import messages, names
+from tcbi_infer import collect_client
+from tcbi_infer.bags.reader import read_measurement
+from tcbi_infer.names import DISTANCE, PLACE_ROBOT
+from tcbi_msgs.srv import ResetEpisode
+from tests.recording_cases import Collection, recorder
+
+pytestmark = pytest.mark.graph
+
+
+class Robot:
+    """A robot without a tracker that cannot tilt its ground, and somebody who can."""
+
+    def __init__(self, peer) -> None:
+        self.peer, self.resets, self.placed = peer, 0, []
+        self.joints = peer.node.create_publisher(JointState, names.JOINT_STATES, messages.STREAM_QOS)
+        peer.node.create_service(ResetEpisode, names.RESET_EPISODE, self.reset)
+        peer.node.create_service(ResetEpisode, PLACE_ROBOT, self.place)
+        peer.node.create_timer(0.02, self.measure)
+
+    def now(self):
+        return self.peer.node.get_clock().now().to_msg()
+
+    def measure(self) -> None:
+        self.joints.publish(messages.joint_state(self.now(), [0.1] * 18))
+
+    def reset(self, request, response):
+        self.resets += 1
+        response.success, response.source = self.resets > 1, "driver"
+        response.message, response.stamp = "still connecting", self.now()
+        return response
+
+    def place(self, request, response):
+        self.placed.append(request.slope_roll)
+        response.success, response.stamp = True, self.now()
+        return response
+
+
+def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False, distance_timeout_s=30.0))
+    robot = Robot(peer)
+    entered = peer.publisher(DISTANCE, Float64, 10)
+    goal = {"task": "balance", "number": 1, "policy": "none", "duration_s": 1.0, "slope_roll": [0.25]}
+    collection = Collection(peer, **goal)
+    peer.wait_until(lambda: bool(collection.told) and collection.told[-1].remaining_s == 0, "the end of the rollout")
+    entered.publish(Float64(data=0.42))
+    status, result = collection.result()
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert robot.resets == 2 and robot.placed == [0.25, 0.25], "hands free the legs of a robot that fails its reset"
+    m = read_measurement(result.bags[0])
+    assert (m.distance, m.source, m.policy_id, m.scenario.slope_roll) == (0.42, "driver", "", 0.25)
+    assert m.scenario.duration == 1.0 and 0.9 < m.time[-1] <= 1.0
+
+
+class SlowRobot(Robot):
+    """Its first answer comes too late, as one comes never whose asker the middleware had not discovered."""
+
+    def reset(self, request, response):
+        if self.resets == 0:
+            time.sleep(1.2)
+        self.resets += 1
+        response.success, response.source, response.stamp = self.resets == 2, "sim", self.now()
+        response.message = "the answer to the first request"
+        return response
+
+
+def test_a_service_that_does_not_answer_is_asked_once_more_and_its_last_answer_counts(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False, service_timeout_s=2.0))
+    robot = SlowRobot(peer)
+    goal = {"task": "balance", "number": 1, "policy": "none", "duration_s": 0.5}
+    status, result = Collection(peer, **goal).result()
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert robot.resets == 2
+
+
+def test_the_end_of_a_collection_is_asked_for_again_where_the_first_question_is_lost(domain, monkeypatch):
+    class Goal:
+        def __init__(self) -> None:
+            self.asked: list[Future] = []
+
+        def get_result_async(self) -> Future:
+            self.asked.append(Future())
+            if len(self.asked) == 2:
+                self.asked[-1].set_result("the end")
+            return self.asked[-1]
+
+    monkeypatch.setattr(collect_client, "ASK_AGAIN_S", 0.3)
+    goal = Goal()
+    with collect_client.CollectClient(domain) as client:
+        assert client._end(goal).result() == "the end"
+    assert len(goal.asked) == 2
