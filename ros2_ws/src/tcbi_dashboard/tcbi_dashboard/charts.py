@@ -1,7 +1,4 @@
-"""Charts as ECharts options: colours that colour-blind readers tell apart, units on every axis, for light and dark.
-
-The charts draw in the browser.
-"""
+"""Charts as ECharts options: colours that colour-blind readers tell apart, units on every axis, for light and dark."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -9,7 +9,7 @@ from nicegui import ui
 
 from tcbi_dashboard import charts, task
 from tcbi_dashboard.drawing import skeleton
-from tcbi_dashboard.elements import Player, card, chart, empty, notes, soft, table, words
+from tcbi_dashboard.elements import Player, card, chart, empty, notes, say, soft, table, words
 from tcbi_dashboard.names import SUMMARY
 from tcbi_dashboard.picker import HOW_TO_RECORD, Picker
 from tcbi_dashboard.session import Session
@@ -127,7 +127,7 @@ class CompareView(View):
         """Say it where the choice above is not what is shown."""
         same = {e.rollout_id for e in self.session.rollouts()} == set(c["rollouts"])
         changed = not same or self.session.version() != c["model"]
-        self.other.set_content("The choice above is another one; press Compare to see it." if changed else "")
+        say(self.other, "The choice above is another one; press Compare to see it." if changed else "")
 
     def _motion(self, c: dict[str, Any], folder: str) -> None:
         each = {i: f"{e['rollout']} · {e['policy']} · {charts.number(e['error_over_floor'], 2)} × floor"

@@ -17,10 +17,6 @@ async def stop(live: Live) -> None:
     ui.notify(await asyncio.to_thread(live.emergency_stop), type="warning", timeout=8000)
 
 
-async def _ask(what: Callable[[], str]) -> None:
-    ui.notify(await asyncio.to_thread(what))
-
-
 class StopAnywhere:
     """The button in the head, or at the bottom of a small screen, while there is a robot to stop."""
 
@@ -49,11 +45,16 @@ class StopCard:
             with ui.element("div").classes("tcbi-torque").mark("torque") as self._state:
                 self._head = words("", "strong")
                 self._then = words("", "p")
-                self._release = ui.button(RELEASE, on_click=lambda: _ask(self.live.release)).props("outline")
-                self._reset = ui.button(RESET, on_click=lambda: _ask(self.live.reset)).props("outline")
+                self._release = ui.button(RELEASE, on_click=lambda: self._lead_on(self.live.release)).props("outline")
+                self._reset = ui.button(RESET, on_click=lambda: self._lead_on(self.live.reset)).props("outline")
                 self._reset.tooltip("the robot moves")
             self._rollout = words("", "p")
             self._policy = words("", "p")
+
+    async def _lead_on(self, what: Callable[[], str]) -> None:
+        """Do what lets the robot move again: for a page that may, whatever a browser shows."""
+        if self._motion:
+            ui.notify(await asyncio.to_thread(what))
 
     def tick(self) -> None:
         """Twice a second while it is seen."""

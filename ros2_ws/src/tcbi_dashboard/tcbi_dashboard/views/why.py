@@ -7,7 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from tcbi_dashboard import charts, next_motions, task
-from tcbi_dashboard.elements import card, chart, empty, notes, soft, table, words
+from tcbi_dashboard.elements import card, chart, empty, notes, say, soft, table, words
 from tcbi_dashboard.live import Live
 from tcbi_dashboard.picker import HOW_TO_RECORD, Picker
 from tcbi_dashboard.session import Session
@@ -110,7 +110,7 @@ class WhyView(View):
         if chosen != set(d["rollouts"]):
             differs.append(f"of the {len(chosen)} rollouts chosen above {len(chosen & set(d['rollouts']))} were used")
         about = f"This verdict is about {d['model']} and {len(d['rollouts'])} rollouts"
-        self.other.set_content(f"{about}; {' and '.join(differs)}." if differs else "")
+        say(self.other, f"{about}; {' and '.join(differs)}." if differs else "")
 
     def _next(self, d: dict[str, Any]) -> None:
         motions = next_motions.motions(d)
