@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tcbi_bringup.demo.plan import FULL, QUICK, Plan, slope_of
+from tcbi_bringup.demo.plan import FULL, QUICK, Plan, Recording, recordings, slope_of
 from tcbi_bringup.emulated_robot.as_measurement import measure
 from tcbi_bringup.emulated_robot.hidden_names import parts
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
@@ -26,6 +26,7 @@ from tcbi_sim.model import Model, base_model
 BENCH = dataclasses.replace(
     FULL,
     motions=("steps", "sinus", "tripod", "squat", "steps:1", "twist", "dither", "sinus:1", "chirp"),
+    repeated=9,
     motion_s=5.0,
     effects=(),
 )
@@ -35,15 +36,14 @@ Job = tuple[str, str, str, int]  # plan, hidden, strength, seed
 Result = dict[str, Any]
 
 
-def recorded(robot: EmulatedRobot, gaits: tuple[str, ...], plan: Plan, seed: int) -> list[Measurement]:
-    """The plan's motions, each twice, on the same slopes as in the demo."""
+def recorded(robot: EmulatedRobot, wanted: list[Recording], duration: float, seed: int) -> list[Measurement]:
+    """Motions of some duration in s, on the same slopes as in the demo."""
     rollouts = []
-    for i, gait in enumerate(gaits):
+    for i, gait, trial in wanted:
         roll, pitch = slope_of(i)
-        request = Request("balance", 1, seed + i, slope_roll=(roll,), slope_pitch=(pitch,), duration_s=plan.motion_s)
-        for trial in (0, 1):
-            rollout = measure(robot, scenario_of(request, 0), Gait(gait), trial=2 * (seed + i) + trial)
-            rollouts.append(dataclasses.replace(rollout, rollout_id=f"{gait}-{trial}"))
+        request = Request("balance", 1, seed + i, slope_roll=(roll,), slope_pitch=(pitch,), duration_s=duration)
+        rollout = measure(robot, scenario_of(request, 0), Gait(gait), trial=2 * (seed + i) + trial)
+        rollouts.append(dataclasses.replace(rollout, rollout_id=f"{gait}-{trial}"))
     return rollouts
 
 
@@ -55,7 +55,8 @@ def judged(job: Job) -> Result:
     plan_name, hidden, strength, seed = job
     plan = PLANS[plan_name]
     robot = EmulatedRobot(seed, hidden, strength)
-    seen, unseen = recorded(robot, plan.motions, plan, 0), recorded(robot, plan.unseen, plan, 100)
+    seen = recorded(robot, recordings(plan.motions, plan.repeated), plan.motion_s, 0)
+    unseen = recorded(robot, recordings(plan.unseen, len(plan.unseen)), plan.motion_s, 100)
     model = base_model("hexapod")
     began, cpu = time.perf_counter(), time.process_time()
     rounds, added = _diagnosed(model, seen, plan, ROUNDS if len(parts(hidden)) > 1 else 1)

@@ -1,6 +1,7 @@
 """How much the demo records, simulates and trains: the full story, and a quick one."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,8 @@ class Plan:
     """The demo's budget.
 
     Attributes:
-      motions: gaits to learn from; each is recorded twice, so that the robot's own repeatability is known.
+      motions: gaits to learn from.
+      repeated: the first so many of them are recorded twice, so that the robot's own repeatability is known.
       unseen: gaits on which only the final errors are judged; each recorded twice, no fit ever sees them.
       motion_s: length of each recorded motion, s.
       deployments: rollouts of the task with the first policy, and again with the new one.
@@ -29,6 +31,7 @@ class Plan:
     """
 
     motions: tuple[str, ...]
+    repeated: int
     unseen: tuple[str, ...]
     motion_s: float
     deployments: int
@@ -59,6 +62,7 @@ MORE_EFFECTS = (
 
 FULL = Plan(
     motions=("steps", "sinus", "tripod", "squat", "steps:1", "twist", "dither", "sinus:1"),
+    repeated=8,
     unseen=("steps:7", "sinus:7"),
     motion_s=4.0,
     deployments=3,
@@ -70,17 +74,31 @@ FULL = Plan(
     training_s=60.0,
 )
 QUICK = Plan(
-    motions=("steps", "sinus", "tripod", "squat"),
+    motions=("steps", "sinus", "tripod", "squat", "dither"),  # the fewest kinds that a false-alarm rate can rest on
+    repeated=2,
     unseen=("steps:7",),
-    motion_s=2.6,
+    motion_s=2.2,
     deployments=2,
     deployment_s=3.0,
     effects=BASIC_EFFECTS,
     settings=replace(QUICK_DIAGNOSIS, rivals=False),  # few candidates, none alike
-    particles=64,
+    particles=48,
     generations=2,
     training_s=12.0,
 )
+
+
+class Recording(NamedTuple):
+    """One rollout of a motion."""
+
+    motion: int  # its number
+    gait: str
+    trial: int  # 1 is the repetition
+
+
+def recordings(gaits: tuple[str, ...], repeated: int) -> list[Recording]:
+    """What to record: every motion, the first ones twice."""
+    return [Recording(i, gait, trial) for i, gait in enumerate(gaits) for trial in range(2 if i < repeated else 1)]
 
 
 def slope_of(motion: int) -> tuple[float, float]:

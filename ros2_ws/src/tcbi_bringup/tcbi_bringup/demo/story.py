@@ -14,7 +14,7 @@ import numpy as np
 from tcbi_bringup.commands import console
 from tcbi_bringup.demo.lab_node import LabNode
 from tcbi_bringup.demo.narration import Narration
-from tcbi_bringup.demo.plan import Plan, slope_of
+from tcbi_bringup.demo.plan import Plan, Recording, recordings, slope_of
 from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
 from tcbi_bringup.errors import DemoError
 from tcbi_contract.wording import with_unit
@@ -113,15 +113,17 @@ class Story:
     def record(self) -> None:
         """Motions to learn from."""
         plan, out = self.plan, self.out
-        self.say(f"robot {self.robot.seed} moves: {len(plan.motions)} motions of {plan.motion_s:g} s, each twice")
-        with console.progress("recording", total=2 * len(plan.motions), unit="rollouts") as advance:
-            out.motions = self._motions(plan.motions, "motions", 0, advance)
+        again = "each" if plan.repeated >= len(plan.motions) else f"{plan.repeated} of them"
+        self.say(f"robot {self.robot.seed} moves: {len(plan.motions)} motions of {plan.motion_s:g} s, {again} twice")
+        wanted = recordings(plan.motions, plan.repeated)
+        with console.progress("recording", total=len(wanted), unit="rollouts") as advance:
+            out.motions = self._motions(wanted, "motions", 0, advance)
         self.say(f"{len(out.motions)} rollouts, a bag each, in {self.folder / 'rollouts'}")
 
     def run_task(self) -> None:
         """The task with the first policy, and motions that only the final errors are judged on."""
         self.out.before = self._deploy(FIRST_POLICY, "before")
-        self.out.unseen = self._motions(self.plan.unseen, "unseen", 100)
+        self.out.unseen = self._motions(recordings(self.plan.unseen, len(self.plan.unseen)), "unseen", 100)
 
     def compare(self) -> None:
         """The base model against the measurements."""
@@ -226,15 +228,14 @@ class Story:
                 self.say(f"{error}; it is recorded again")
         return self.lab.collect(*request, **options)
 
-    def _motions(self, gaits: tuple[str, ...], name: str, seed: int, advance: Advance = _silent) -> list[Measurement]:
-        """Each motion twice, on ground that is tilted another way each time."""
+    def _motions(self, wanted: list[Recording], name: str, seed: int, advance: Advance = _silent) -> list[Measurement]:
+        """Record; the ground is tilted another way under each motion."""
         folder, bags = self.folder / "rollouts" / name, []
-        for i, gait in enumerate(gaits):
-            for _ in range(2):
-                bags += self._collect(
-                    TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope_of(i)]
-                )
-                advance(1)
+        for i, gait, _ in wanted:
+            bags += self._collect(
+                TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope_of(i)]
+            )
+            advance(1)
         return read_measurements(bags)
 
     def _deploy(self, policy: str, name: str, advance: Advance = _silent) -> list[Measurement]:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tcbi_bringup.demo.plan import slope_of
+from tcbi_bringup.demo.plan import recordings, slope_of
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
 from tcbi_bringup.errors import BringupError
 from tcbi_bringup.study.notebook import Key, Notebook, Result
@@ -94,7 +94,7 @@ class Experiment:
     def _diagnose(self, robot: int) -> Result:
         """Motions for a diagnosis, as the demo records them, and the model that follows from it."""
         plan, orders = self.plan.diagnosis, []
-        for i, gait in enumerate(plan.motions):
+        for i, gait, trial in recordings(plan.motions, plan.repeated):
             roll, pitch = slope_of(i)
             request = Request(
                 "balance",
@@ -104,9 +104,7 @@ class Experiment:
                 slope_pitch=(pitch,),
                 duration_s=plan.motion_s,
             )
-            orders += [
-                Order(robot, self.strength[robot], scenario_of(request, 0), f"gait:{gait}", 2 * i + k) for k in (0, 1)
-            ]
+            orders.append(Order(robot, self.strength[robot], scenario_of(request, 0), f"gait:{gait}", 2 * i + trial))
         rollouts = self.laboratory.run(orders)
         model = base_model("hexapod")
         found = diagnose(model, rollouts, uses=plan.effects, settings=plan.settings)

@@ -187,8 +187,7 @@ class _Run:
         nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
         again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
         fit = again.run(first.unit[None], steps=CLOSE_STEPS)
-        fit = again.escape(fit, width, CLOSE_STEPS)
-        return fit, nuisance
+        return again.escape(fit, width, CLOSE_STEPS) if self.settings.escape else fit, nuisance
 
     def _full(self, residual: np.ndarray) -> np.ndarray:
         full = np.zeros_like(self.problem.observed)

@@ -10,7 +10,7 @@ class Settings:
     refine: int = 3  # candidates that get a full fit
     per_effect: int = 2  # sites of one effect among them
     further: int = 8  # other effects that are looked at far from the base fit, where much is left unexplained
-    escape: bool = True  # the best candidate's fit, too, looks for other valleys of the loss
+    escape: bool = True  # the base model's fit and the best candidate's look for other valleys of the loss
     rivals: bool = True  # effects that the screening did not rank are tried in the best one's place
     least_share: float | None = None  # of the best candidate's gain in screening, that a full fit takes; None: any
     timestep: float = 0.002  # s, of the final fits
