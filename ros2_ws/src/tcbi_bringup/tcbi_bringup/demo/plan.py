@@ -19,7 +19,7 @@ class Plan:
     Attributes:
       motions: gaits to learn from.
       repeated: the first so many of them are recorded twice, so that the robot's own repeatability is known.
-      unseen: gaits on which only the final errors are judged; each recorded twice, no fit ever sees them.
+      unseen: gaits on which only the final errors are judged, each recorded twice; no fit ever sees them.
       motion_s: length of each recorded motion, s.
       deployments: rollouts of the task with the first policy, and again with the new one.
       deployment_s: length of each, s; 0 for the task's own.
@@ -79,7 +79,7 @@ QUICK = Plan(
     unseen=("steps:7",),
     motion_s=2.2,
     deployments=2,
-    deployment_s=3.0,
+    deployment_s=2.4,
     effects=BASIC_EFFECTS,
     settings=replace(QUICK_DIAGNOSIS, rivals=False),  # few candidates, none alike
     particles=48,
