@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from hexapod_driver.calibration import load as load_calibration
 from tcbi_bringup.emulated_robot.hidden_names import STRENGTHS
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import Graph, NodeProcess
@@ -30,6 +31,8 @@ class GraphOptions:
       lockstep: simulate as fast as it goes (sim only).
       namespace: before every topic.
       seed: of the simulation or the emulated robot.
+      sensor_port: a real robot's second port, "" where everything goes over one.
+      calibration: a real robot's file, "" for the shipped one.
       hidden: effect in the emulated robot, "" to draw it from the seed.
       strength: of that effect.
       learning: start the inference and the retrain node too.
@@ -44,6 +47,8 @@ class GraphOptions:
     lockstep: bool = False
     namespace: str = ""
     seed: int = 0
+    sensor_port: str = ""
+    calibration: str = ""
     hidden: str = ""
     strength: str = STRENGTHS[0]
     learning: bool = True
@@ -54,6 +59,7 @@ class GraphOptions:
 
         Raises:
           LaunchError: in one line.
+          CalibrationError: the file cannot be read, or says what cannot be.
           PolicyError: the policy does not exist, is damaged, or is another robot's.
           UnknownNameError: there is no such task.
         """
@@ -65,15 +71,28 @@ class GraphOptions:
             raise LaunchError(
                 f"--hidden: got --robot {self.robot}, allowed is emulated; only there is known what is hidden"
             )
-        if self.robot not in (SIM, EMULATED) and not Path(self.robot).exists():
-            raise LaunchError(
-                f"--robot: got {self.robot!r}, allowed is sim, emulated, or a serial port that exists; "
-                f"{_ports_present()}; switch the robot on and pair it, then call again"
-            )
+        if self.robot in (SIM, EMULATED):
+            for option, value in (("--sensor-port", self.sensor_port), ("--calibration", self.calibration)):
+                if value:
+                    raise LaunchError(
+                        f"{option}: got --robot {self.robot}, allowed is a serial port; only a real robot has one"
+                    )
+        else:
+            self._check_ports()
+            load_calibration(self.calibration)
         if self.task:
             find_task(self.task)
         if self.policy:
             find_policy(self.policy, self.store)
+
+    def _check_ports(self) -> None:
+        for option, port in (("--robot", self.robot), ("--sensor-port", self.sensor_port)):
+            simulated = "sim, emulated, or " if option == "--robot" else ""
+            if port and not Path(port).exists():
+                raise LaunchError(
+                    f"{option}: got {port!r}, allowed is {simulated}a serial port that exists; {_ports_present()}; "
+                    "switch the robot on and pair it, then call again"
+                )
 
 
 def _ports_present() -> str:
@@ -96,7 +115,9 @@ def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
         parameters = {"mode": mode, "model": options.model, "seed": options.seed, "task": options.task}
         return [node("tcbi_sim", "sim_node", parameters={**parameters, "store": str(options.store)})]
     if options.robot != EMULATED:
-        return [node("hexapod_driver", "driver_node", parameters={"port": options.robot})]
+        calibration = str(Path(options.calibration).expanduser().resolve()) if options.calibration else ""
+        link = {"port": options.robot, "sensor_port": options.sensor_port, "calibration": calibration}
+        return [node("hexapod_driver", "driver_node", parameters=link)]
     port, socket = emulated_port(folder), folder / "socket"
     place = ("--link", str(port), "--socket", str(socket))
     hidden = ("--hidden", options.hidden) if options.hidden else ()

@@ -2,11 +2,13 @@
 
 import dataclasses
 import importlib
+from importlib import resources
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 
+from hexapod_driver.errors import CalibrationError
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes, start_graph
@@ -53,6 +55,36 @@ def test_only_a_lockstep_graph_runs_on_simulated_time():
 def test_lockstep_needs_the_simulation():
     with pytest.raises(LaunchError, match="--lockstep: got --robot emulated, allowed is sim"):
         options(robot="emulated", lockstep=True).check()
+
+
+def test_a_real_robots_driver_gets_its_second_port_and_its_calibration(tmp_path):
+    for name in ("bus", "board"):
+        (tmp_path / name).touch()
+    shipped = Path(str(resources.files("hexapod_driver") / "calibration.toml"))
+    mine = tmp_path / "mine.toml"
+    mine.write_text(shipped.read_text())
+    wanted = options(robot=str(tmp_path / "bus"), sensor_port=str(tmp_path / "board"), calibration=str(mine))
+    wanted.check()
+    (driver,) = robot_processes(wanted, Path("run"))
+    assert driver.parameters["sensor_port"] == str(tmp_path / "board")
+    assert driver.parameters["calibration"] == str(mine)
+
+
+def test_a_calibration_that_cannot_be_read_is_refused_before_anything_starts(tmp_path):
+    (tmp_path / "bus").touch()
+    (tmp_path / "bad.toml").write_text("servos = ")
+    with pytest.raises(CalibrationError, match="not valid TOML"):
+        options(robot=str(tmp_path / "bus"), calibration=str(tmp_path / "bad.toml")).check()
+    with pytest.raises(LaunchError, match=r"--sensor-port: got '.*gone', allowed is a serial port that exists"):
+        options(robot=str(tmp_path / "bus"), sensor_port=str(tmp_path / "gone")).check()
+
+
+@pytest.mark.parametrize("robot", ["sim", "emulated"])
+def test_only_a_real_robot_has_a_calibration_and_a_second_port(robot):
+    with pytest.raises(LaunchError, match=f"--calibration: got --robot {robot}"):
+        options(robot=robot, calibration="mine.toml").check()
+    with pytest.raises(LaunchError, match=f"--sensor-port: got --robot {robot}"):
+        options(robot=robot, sensor_port="/dev/ttyUSB1").check()
 
 
 def test_a_port_that_is_not_there_is_named_with_what_is(tmp_path):

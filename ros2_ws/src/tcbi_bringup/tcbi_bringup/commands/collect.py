@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         help="a .safetensors file, a policy of the store, gait:NAME, or none; default: the one that is loaded",
     )
+    console.add_robot_link(parser)
     parser.add_argument("--duration", type=at_least(0.0), default=0.0, metavar="S", help="default: the task's own")
     parser.add_argument(
         "--slope-roll", type=float, nargs="+", default=[], metavar="RAD", help="one a rollout; else drawn"
@@ -67,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi collect --robot sim --task forward --n 3 --policy gait:tripod --out bags",
         "./tcbi collect --robot emulated --task balance --n 10 --json",
         "./tcbi collect --robot emulated --hidden backlash --seed 7 --policy gait:steps --n 4",
+        "./tcbi collect --robot /dev/rfcomm0 --calibration my_robot.toml --n 5 --place --ask-distance",
     )
 
 
@@ -113,6 +115,11 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
             raise WrongCallError(
                 "--hidden: got --robot running, allowed is emulated; that robot is built for this call"
             )
+        if args.sensor_port or args.calibration:
+            raise WrongCallError(
+                "--sensor-port and --calibration: got --robot running, allowed is a serial port; the graph that runs "
+                "has its own driver"
+            )
         yield lambda: None
         return
     from tcbi_bringup.domain_lock import hold_domain, refuse_second_graph
@@ -129,6 +136,8 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
         namespace=args.namespace.strip("/"),
         store=console.store_folder(args.store),
         seed=args.seed,
+        sensor_port=args.sensor_port,
+        calibration=args.calibration,
         hidden=args.hidden,
         strength=args.strength,
         learning=False,

@@ -41,6 +41,19 @@ def add_examples(parser: argparse.ArgumentParser, *examples: str) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
 
 
+def add_robot_link(parser: argparse.ArgumentParser) -> None:
+    """How a real robot is reached besides its port, and what it is like."""
+    parser.add_argument(
+        "--sensor-port", default="", metavar="PORT", help="the sensor board's own port, where it has one"
+    )
+    parser.add_argument(
+        "--calibration",
+        default="",
+        metavar="FILE",
+        help="the robot's calibration (docs/driver.md); default: the shipped one",
+    )
+
+
 def add_hidden(parser: argparse.ArgumentParser) -> None:
     """What is hidden in an emulated robot."""
     from tcbi_bringup.emulated_robot.hidden_names import DRAWN, STRENGTHS, hidden

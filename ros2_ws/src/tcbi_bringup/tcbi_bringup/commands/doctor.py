@@ -16,10 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="talk to the robot behind this serial port (servos and sensors are read, nothing moves); default: only "
         "see which ports are there and free",
     )
-    parser.add_argument("--sensor-port", default="", help="the sensor board's own port, where it has one (with --port)")
-    parser.add_argument(
-        "--calibration", default="", metavar="FILE", help="the robot's calibration; default: the shipped one"
-    )
+    console.add_robot_link(parser)
     parser.add_argument("--namespace", default="", help="of the running graph")
     parser.add_argument("--no-graph", action="store_true", help="leave out the running graph (saves seven seconds)")
     console.add_store(parser)

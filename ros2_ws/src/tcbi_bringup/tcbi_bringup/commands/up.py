@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=at_least(0), default=0, help="of the simulation or the emulated robot (default: 0)"
     )
+    console.add_robot_link(parser)
     console.add_hidden(parser)
     parser.add_argument("--no-learning", action="store_true", help="leave out the inference and the retrain node")
     parser.add_argument(
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi up",
         "./tcbi up --robot emulated --policy gait:tripod",
         "./tcbi up --robot emulated --hidden payload --strength weak --seed 7",
-        "./tcbi up --robot /dev/rfcomm0",
+        "./tcbi up --robot /dev/rfcomm0 --calibration my_robot.toml",
         "ROS_DOMAIN_ID=7 ./tcbi up --lockstep --task forward",
     )
 
@@ -60,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
         namespace=args.namespace.strip("/"),
         store=console.store_folder(args.store),
         seed=args.seed,
+        sensor_port=args.sensor_port,
+        calibration=args.calibration,
         hidden=args.hidden,
         strength=args.strength,
         learning=not args.no_learning,
