@@ -1,6 +1,7 @@
 """From rollouts to a posterior: recovery on a servo bench, same bits at any thread count, resuming, bad input named."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,22 @@ def test_an_interrupted_inference_goes_on_to_the_same_result(problem: Problem, m
     assert np.array_equal(resumed.unit, through.unit) and np.array_equal(resumed.log_weights, through.log_weights)
     assert len(resumed.generations) == 3
     assert not list(tmp_path.glob("*/state.npz"))
+
+
+def test_a_resumed_inference_counts_the_seconds_of_all_its_generations(problem: Problem, tmp_path: Path) -> None:
+    def interrupt(progress: Progress) -> None:
+        if progress.generation == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted):
+        infer(problem, "paper", seed=2, folder=tmp_path, watch=interrupt, **SMALL)
+    (file,) = tmp_path.glob("*/generations.json")
+    history = json.loads(file.read_text())
+    history[0]["wall_s"] = 1000.0  # an earlier process that took long
+    file.write_text(json.dumps([*history, history[-1]]))  # killed before the state that belongs to it was kept
+    result = infer(problem, "paper", seed=2, folder=tmp_path, **SMALL)
+    assert [g["generation"] for g in result.generations] == [1, 2, 3]
+    assert result.seconds == sum(g["wall_s"] for g in result.generations) > 1000.0
 
 
 def test_a_damaged_state_is_not_used(tmp_path: Path) -> None:

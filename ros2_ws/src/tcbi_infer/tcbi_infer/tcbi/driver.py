@@ -73,12 +73,11 @@ def infer(
     given = settings_of(chosen, settings)
     if problem.divergence_name != "js" and not chosen.any_divergence:
         raise InferError(f"method {method} works with the divergence js alone; leave it out, or take method paper")
-    start = time.monotonic()
     place = None if folder is None else folder / run_name(problem, method, given, seed)
     loop = _Loop(problem, chosen, given, seed, place, watch)
     with _stopping(place):
         loop.run()
-    result = loop.result(time.monotonic() - start)
+    result = loop.result()
     if place is not None:
         (place / "state.npz").unlink(missing_ok=True)
     return result
@@ -158,8 +157,8 @@ class _Loop:
             self.place.mkdir(parents=True, exist_ok=True)
             state = checkpoint.load(self.place / "state.npz", self.method.state_type)
             history = self._read_history()
-            if state is not None and len(history) == state.generation:
-                return state, history, state.generation > 0
+            if state is not None and len(history) >= state.generation:  # killed between the two files: one longer
+                return state, history[: state.generation], state.generation > 0
         rng = np.random.default_rng([self.seed, 0])
         return self.method.init(rng, self.dimensions, self.real, self.settings), [], False
 
@@ -173,11 +172,11 @@ class _Loop:
     def run(self) -> None:
         """Until the method says it is finished."""
         while not self.method.finished(self.state, self.settings):
-            rng = np.random.default_rng([self.seed, self.state.generation + 1])
+            rng, began = np.random.default_rng([self.seed, self.state.generation + 1]), time.monotonic()
             self._tell(0.0)
             self.state, self.last = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
             self.here += 1
-            self._record()
+            self._record(time.monotonic() - began)
             if self.place is not None:
                 _replace(self.place / "generations.json", json.dumps(self.history))
                 checkpoint.save(self.place / "state.npz", self.state)
@@ -194,7 +193,7 @@ class _Loop:
         cube, log_weights = self.method.posterior(self.state, self.settings)
         return self.problem.unit(cube), log_weights
 
-    def _record(self) -> None:
+    def _record(self, wall_s: float) -> None:
         unit, log_weights = self._posterior()
         weights = normalised(log_weights)
         mean, variance = mean_and_variance(self.problem.model.from_unit(unit), weights)
@@ -208,6 +207,7 @@ class _Loop:
                 "variance": variance.tolist(),
                 "variance_ratio": (12 * unit_variance).tolist(),
                 "divergence": self.last.divergence.tolist(),
+                "wall_s": wall_s,
                 **self.last.notes,
             }
         )
@@ -233,7 +233,7 @@ class _Loop:
             )
         )
 
-    def result(self, seconds: float) -> Result:
+    def result(self) -> Result:
         """The outcome, with its warnings."""
         problem, model = self.problem, self.problem.model
         unit, log_weights = self._posterior()
@@ -248,6 +248,7 @@ class _Loop:
         judged = self.method.judges and not wrong
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = self.method.simulations(self.state, self.settings) * len(problem.rollout_ids)
+        seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
             estimates(model.parameters, unit, log_weights, self.seed, known, judged),

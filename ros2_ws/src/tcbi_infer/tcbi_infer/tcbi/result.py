@@ -54,8 +54,8 @@ class Result:
     estimates: tuple[Estimate, ...]
     ess: float
     simulations: int  # rollouts simulated
-    seconds: float
-    generations: tuple[dict[str, Any], ...]  # one entry each: mean, variance, ess, alpha, divergence
+    seconds: float  # wall time of all generations, those before it was resumed among them
+    generations: tuple[dict[str, Any], ...]  # one entry each: mean, variance, ess, alpha, divergence, wall_s
     converged: bool
     closed_loop: bool
     warnings: tuple[str, ...]
