@@ -32,7 +32,7 @@ from tcbi_contract.errors import describe
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_policy.errors import RewardError
 from tcbi_sim.engine import SimulatedRollouts
-from tcbi_sim.measurement import Measurement, roll_pitch_yaw
+from tcbi_sim.measurement import Measurement, progress, roll_pitch_yaw
 from tcbi_sim.tasks import find_task, tasks
 
 
@@ -66,13 +66,6 @@ def inclination(attitude: np.ndarray) -> np.ndarray:
     """Angle (...) in rad between the body's z axis and the vertical, of an attitude (..., 4) w x y z."""
     _, x, y, _ = np.moveaxis(np.asarray(attitude, float), -1, 0)
     return np.arccos(np.clip(1 - 2 * (x * x + y * y), -1.0, 1.0))
-
-
-def progress(position: np.ndarray, heading: np.ndarray | float = 0.0) -> np.ndarray:
-    """Displacement (..., T) in m along the heading at the start (rad) of positions (..., T, 3) in m."""
-    moved = position[..., :2] - position[..., :1, :2]
-    heading = np.asarray(heading, float)[..., None]
-    return moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)
 
 
 def distance_term(weight: float) -> Term:

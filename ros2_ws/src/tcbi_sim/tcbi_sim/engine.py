@@ -19,7 +19,7 @@ import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S, CONTROL_RATE_HZ
 from tcbi_sim.errors import SimError
-from tcbi_sim.measurement import Commands, Measurement, Scenario, observation, roll_pitch_yaw
+from tcbi_sim.measurement import Commands, Measurement, Scenario, observation, progress, roll_pitch_yaw
 from tcbi_sim.model import Model
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
@@ -92,7 +92,7 @@ class SimulatedRollouts:
             cut(self.linear_acceleration),
             cut(self.contact),
             position,
-            distance=float(position[-1, 0] - position[0, 0]) if position is not None else np.nan,
+            distance=float(progress(position, scenario.initial_yaw)[-1]) if position is not None else np.nan,
         )
 
 

@@ -155,6 +155,13 @@ def quaternion_from_rpy(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) ->
     )
 
 
+def progress(position: np.ndarray, heading: np.ndarray | float = 0.0) -> np.ndarray:
+    """Displacement (..., T) in m along the heading at the start (rad) of positions (..., T, 3) in m."""
+    moved = position[..., :2] - position[..., :1, :2]
+    heading = np.asarray(heading, float)[..., None]
+    return moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)
+
+
 def observation(joint_position: np.ndarray, attitude: np.ndarray, yaw0: np.ndarray | float = 0.0) -> np.ndarray:
     """What a policy sees: (..., J + 3), the joint angles, then roll, pitch and the yaw since the start (rad)."""
     rpy = roll_pitch_yaw(attitude)
