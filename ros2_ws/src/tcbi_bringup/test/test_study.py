@@ -14,6 +14,7 @@ from tcbi_bringup.study.notebook import Notebook
 from tcbi_bringup.study.page import write
 from tcbi_bringup.study.plan import CONTESTANTS, EFFECT, FIRST, PRESETS, WINNER, Plan, TaskPlan, chosen
 from tcbi_bringup.study.robots import Laboratory
+from tcbi_infer.baselines.prior import PriorSettings
 from tcbi_infer.tcbi.method import METHODS
 
 TINY = Plan(
@@ -61,6 +62,16 @@ def test_a_folder_with_a_study_of_other_sizes_is_refused_and_more_robots_are_not
     Experiment(chosen("hour", robots="1,2,3"), tmp_path, Laboratory(1))
     with pytest.raises(BringupError, match="other sizes"):
         Experiment(chosen("full"), tmp_path, Laboratory(1))
+
+
+def test_fixed_randomisation_is_the_prior_with_all_its_draws_whatever_the_budget_of_the_others(tmp_path: Path) -> None:
+    experiment = Experiment(TINY, tmp_path, Laboratory(1), threads=1)
+    experiment.do(("collect", "balance", 11))
+    found = experiment.do(("infer", "balance", 11, "fixed_dr"))
+    assert len(experiment.store.load(found["model"]).particles) == PriorSettings().particles == 1000
+    assert found["simulations"] == 0
+    others = {c.method for c in CONTESTANTS.values()} - {"prior"}
+    assert all(TINY.tasks["balance"].budget(name) == {"particles": 10, "generations": 1} for name in others)
 
 
 def invented(folder: Path, gain: float) -> tables.Findings:

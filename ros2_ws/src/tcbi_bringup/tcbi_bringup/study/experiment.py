@@ -132,8 +132,8 @@ class Experiment:
             model, rollouts, statistics=contestant.statistics or method.statistics, policies=self.store.root,
             threads=self.threads, seed=robot,
         )  # fmt: skip
-        budget: dict[str, Any] = {"particles": plan.particles, "generations": plan.generations}
-        result = infer(problem, method.name, seed=robot, folder=self.store.folder("runs"), **budget)
+        runs = self.store.folder("runs")
+        result = infer(problem, method.name, seed=robot, folder=runs, **plan.budget(method.name))
         saved = posterior.save(self.store, result)
         return {
             "model": saved.version, "seconds": result.seconds, "simulations": result.simulations, "ess": result.ess,

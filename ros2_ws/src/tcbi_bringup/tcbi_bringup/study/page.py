@@ -19,8 +19,8 @@ UNITS = {"friction": "friction", "mass": "mass / kg", "gain": "gain / (N m/rad)"
 LEAD = (
     "Each emulated robot has its own friction, mass, servo stiffness and a hidden effect, and its own physics. A first "
     "policy collected rollouts; every method inferred the parameters from the same rollouts with the same number of "
-    "simulations; the policy was retrained on each posterior with the same budget and deployed on the robot in the "
-    "same scenarios. All that came out is shown, whoever wins."
+    "simulations (fixed randomisation takes the prior as it stands); the policy was retrained on each posterior with "
+    "the same budget and deployed on the robot in the same scenarios. All that came out is shown, whoever wins."
 )
 WELCH = (
     "Welch's t-test over all rollouts, as the paper has it. Rollouts on one robot resemble one another, so with few "

@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 from tcbi_bringup.demo import plan as demo
 from tcbi_bringup.errors import BringupError
@@ -42,7 +43,7 @@ class TaskPlan:
     Attributes:
       first_policy: collects the rollouts, and is where every retraining starts.
       rollouts: that are collected of each robot.
-      particles, generations: of an inference, the same for every method.
+      particles, generations: of an inference, the same for every method that simulates.
       steps: of each retraining, of all simulations together.
       deployments: of each retrained policy on the robot.
       noisy: deployments under each level of sensor noise.
@@ -55,6 +56,10 @@ class TaskPlan:
     steps: int
     deployments: int
     noisy: int
+
+    def budget(self, method: str) -> dict[str, Any]:
+        """Settings of an inference. `prior` simulates nothing, so its draws are as many as it takes by default."""
+        return {} if method == "prior" else {"particles": self.particles, "generations": self.generations}
 
 
 @dataclass(frozen=True)
