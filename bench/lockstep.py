@@ -48,7 +48,7 @@ class Collection:
         self.executor.add_node(self.node)
         self.seen: list[tuple[int, float]] = []
         self.clock: list[tuple[float, float]] = []  # simulated and wall time, s
-        self.node.create_subscription(ClockMessage, "/clock", self._tick, messages.STREAM_QOS)
+        self.node.create_subscription(ClockMessage, names.CLOCK, self._tick, messages.STREAM_QOS)
         self.node.create_subscription(RolloutEvent, names.ROLLOUT_EVENT, self._take, messages.LATCHED_QOS)
         self.client = ActionClient(self.node, CollectRollouts, names.COLLECT_ROLLOUTS)
 

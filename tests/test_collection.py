@@ -11,7 +11,6 @@ from std_msgs.msg import Float64
 from tcbi_contract import messages, names
 from tcbi_infer import collect_client
 from tcbi_infer.bags.reader import read_measurement
-from tcbi_infer.names import DISTANCE, PLACE_ROBOT
 from tcbi_msgs.srv import ResetEpisode
 from tests.recording_cases import Collection, recorder
 
@@ -25,7 +24,7 @@ class Robot:
         self.peer, self.resets, self.placed = peer, 0, []
         self.joints = peer.node.create_publisher(JointState, names.JOINT_STATES, messages.STREAM_QOS)
         peer.node.create_service(ResetEpisode, names.RESET_EPISODE, self.reset)
-        peer.node.create_service(ResetEpisode, PLACE_ROBOT, self.place)
+        peer.node.create_service(ResetEpisode, names.PLACE_ROBOT, self.place)
         peer.node.create_timer(0.02, self.measure)
 
     def now(self):
@@ -49,7 +48,7 @@ class Robot:
 def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_graph, peer, tmp_path):
     start_graph(recorder(tmp_path / "bags", lockstep=False, distance_timeout_s=30.0))
     robot = Robot(peer)
-    entered = peer.publisher(DISTANCE, Float64, 10)
+    entered = peer.publisher(names.DISTANCE, Float64, 10)
     goal = {"task": "balance", "number": 1, "policy": "none", "duration_s": 1.0, "slope_roll": [0.25]}
     collection = Collection(peer, **goal)
     peer.wait_until(lambda: bool(collection.told) and collection.told[-1].remaining_s == 0, "the end of the rollout")

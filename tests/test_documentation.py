@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "ros2_ws" / "src"
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
 
 
@@ -48,14 +49,24 @@ def test_every_link_to_a_file_leads_somewhere(page):
     assert not missing
 
 
-def test_the_topics_of_the_contract_are_those_of_the_code():
-    from tcbi_contract import names
+@pytest.mark.parametrize("what", ["Topics", "Services and actions"])
+def test_the_contract_lists_what_the_code_names_and_nothing_else(what):
+    module = (SOURCE / "tcbi_contract" / "tcbi_contract" / "names.py").read_text()
+    named = re.findall(r'^[A-Z_]+ = "(\S+)"', module.partition(f"\n# {what}")[2].partition("\n\n")[0], re.MULTILINE)
+    page = (ROOT / "docs" / "contract.md").read_text().partition(f"\n## {what}\n")[2].partition("\n## ")[0]
+    first_cells = re.findall(r"^\| (`[^|]*`) \|", page, re.MULTILINE)
+    listed = [name for cell in first_cells for name in re.findall(r"`([^`]+)`", cell)]
+    assert len(named) > 10
+    assert sorted(listed) == sorted(named)
 
-    text = (ROOT / "docs" / "contract.md").read_text()
-    topics = ("JOINT_STATES", "IMU", "FOOT_CONTACTS", "JOINT_COMMANDS", "TRACKER_POSE", "ROLLOUT_EVENT", "DIAGNOSTICS")
-    more = ("ROBOT_DESCRIPTION", "POSTERIOR", "MODEL_ERROR", "DIAGNOSIS", "RESET_EPISODE", "EMERGENCY_STOP", "RETRAIN")
-    missing = [name for name in (*topics, *more) if f"`{getattr(names, name)}`" not in text]
-    assert not missing
+
+def test_no_node_has_a_name_of_its_own_for_a_topic_service_or_action():
+    makers = r"create_(?:publisher|subscription|service|client)\(|Action(?:Server|Client)\(\s*self,"
+    literal = re.compile(rf"(?:{makers})\s*[\w.]+,\s*f?[\"']")
+    assert literal.search('self.create_publisher(Clock, "/clock", 10)')
+    files = [file for file in SOURCE.glob("*/*/**/*.py") if re.search(makers, file.read_text())]
+    assert len(files) > 8
+    assert not [file.name for file in files if literal.search(file.read_text())]
 
 
 def test_the_files_that_the_examples_name_are_there():

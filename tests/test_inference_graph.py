@@ -101,9 +101,9 @@ def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node,
     assert ModelStore(tmp_path / "store").load(added.model).effects == ("command_latency",)
     refused = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latncy"), AddEffect)
     assert not refused.success and "did you mean 'command_latency'" in refused.message
-    loaded = peer.call("inference/load_model", LoadModel.Request(model=f"{RIG}-v0"), LoadModel)
+    loaded = peer.call(names.INFERENCE_LOAD_MODEL, LoadModel.Request(model=f"{RIG}-v0"), LoadModel)
     assert loaded.success and loaded.model == f"{RIG}-v0"
-    missing = peer.call("inference/load_model", LoadModel.Request(model=f"{RIG}-v9"), LoadModel)
+    missing = peer.call(names.INFERENCE_LOAD_MODEL, LoadModel.Request(model=f"{RIG}-v9"), LoadModel)
     assert not missing.success and "unknown model version" in missing.message
 
 

@@ -45,7 +45,7 @@ class Policy:
         for topic, kind in {**STREAMS, names.DIAGNOSTICS: DiagnosticArray}.items():
             self.raw[topic] = []
             peer.node.create_subscription(kind, topic, self.raw[topic].append, 1000, raw=True)
-        peer.node.create_subscription(Clock, "/clock", self._on_clock, messages.STREAM_QOS)
+        peer.node.create_subscription(Clock, names.CLOCK, self._on_clock, messages.STREAM_QOS)
         self.commands = peer.publisher(names.JOINT_COMMANDS, JointTrajectory, messages.STREAM_QOS)
         self.events = peer.publisher(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
         peer.wait_until(lambda: self.now > 0, "/clock")
@@ -147,7 +147,7 @@ def test_the_clock_waits_for_a_slow_policy_and_stops_at_the_end(start_graph, pee
     policy = Policy(peer)
     policy.reset(task="balance", seed=1, duration=0.4)
     policy.event(RolloutEvent.BEGIN, policy.start)
-    repeats = peer.collect("/clock", Clock, messages.STREAM_QOS)
+    repeats = peer.collect(names.CLOCK, Clock, messages.STREAM_QOS)
     peer.wait_until(lambda: len(repeats) >= 3, "the clock to repeat itself while it waits")
     assert {nanoseconds(m.clock) for m in repeats} == {policy.start}
     policy.enabled = True

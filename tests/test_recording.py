@@ -245,7 +245,7 @@ def test_a_replay_gives_back_the_same_bytes_and_the_recordings_clock(start_graph
     bag = made_bag(tmp_path)
     heard: list[bytes] = []
     peer.node.create_subscription(JointState, names.JOINT_STATES, heard.append, 500, raw=True)
-    clock = peer.collect("/clock", Clock, messages.STREAM_QOS)
+    clock = peer.collect(names.CLOCK, Clock, messages.STREAM_QOS)
     values = {"bag": str(bag), "rate": rate, "wait_for": 1}
     graph = start_graph(NodeProcess("tcbi_infer", "replay_node", parameters=values), wait=False)
     assert finished(peer, graph, "replay_node") == 0

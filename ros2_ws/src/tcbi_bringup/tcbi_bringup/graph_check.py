@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from tcbi_bringup.domain_lock import OWN_NODES
 from tcbi_bringup.expectations import EXPECTATIONS, RATE_TOLERANCE, Expectation, judge_rate
 from tcbi_bringup.graph_monitor import GraphMonitor, TopicRate
+from tcbi_contract import names
 from tcbi_contract.check import FAULT, OK, WARNING, Check
 
 DISCOVERY_S = 3.0
@@ -25,7 +26,7 @@ def graph_checks(domain_id: int, namespace: str = "") -> Iterator[Check]:
         yield nodes_check(nodes)
         monitor.watch({expected.topic: expected.type_name for expected in EXPECTATIONS})
         time.sleep(LISTEN_S)
-        simulated = monitor.publishers("/clock") > 0
+        simulated = monitor.publishers(names.CLOCK) > 0
         types, rates = monitor.topic_types(), monitor.rates()
     for expected in EXPECTATIONS:
         seen = types.get(prefix + expected.topic, [])

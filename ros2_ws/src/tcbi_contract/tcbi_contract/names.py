@@ -18,25 +18,29 @@ CONTROL_RATE_HZ = 5.0
 CONTROL_PERIOD_S = 1.0 / CONTROL_RATE_HZ
 DIAGNOSTICS_RATE_HZ = 1.0
 
-# Topics, relative so that a namespace prefixes them
+# Topics, relative so that a namespace prefixes them; but the clock is one for all
 JOINT_STATES = "joint_states"
 IMU = "imu/data"
 FOOT_CONTACTS = "foot_contacts"
 JOINT_COMMANDS = "joint_commands"
 TRACKER_POSE = "tracker/pose"
 ROLLOUT_EVENT = "rollout/event"
+DISTANCE = "rollout/distance"
 DIAGNOSTICS = "diagnostics"
 ROBOT_DESCRIPTION = "robot_description"
 POSTERIOR = "posterior"
 MODEL_ERROR = "model_error"
 DIAGNOSIS = "diagnosis"
 POLICY_STATUS = "policy/status"
+CLOCK = "/clock"
 
 # Services and actions
 RESET_EPISODE = "reset_episode"
+PLACE_ROBOT = "place_robot"
 EMERGENCY_STOP = "emergency_stop"
 RELEASE_EMERGENCY_STOP = "emergency_stop/release"
-LOAD_MODEL = "load_model"
+LOAD_MODEL = "load_model"  # of the simulator: what is simulated
+INFERENCE_LOAD_MODEL = "inference/load_model"  # of the inference node: whose parameters are inferred
 LOAD_POLICY = "policy/load"
 ENABLE_POLICY = "policy/enable"
 ADD_EFFECT = "add_effect"

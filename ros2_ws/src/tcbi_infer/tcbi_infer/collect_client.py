@@ -17,11 +17,10 @@ from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64
 
-from tcbi_contract import names
+from tcbi_contract import messages, names
 from tcbi_infer.collection import Request
 from tcbi_infer.collection_messages import goal_of
 from tcbi_infer.errors import RecordingError
-from tcbi_infer.names import DISTANCE, PLACE_ROBOT
 from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.srv import ResetEpisode
 
@@ -53,12 +52,12 @@ class CollectClient:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._client = ActionClient(self._node, CollectRollouts, names.COLLECT_ROLLOUTS)
-        self._distance = self._node.create_publisher(Float64, DISTANCE, 10)
+        self._distance = self._node.create_publisher(Float64, names.DISTANCE, messages.STREAM_QOS)
 
     def offer_place(self, on_place: Callable[[Any], None]) -> None:
         """Place the robot before each rollout: `on_place` gets slopes (rad) and blocks, and returns when it is done."""
         self._on_place = on_place
-        self._node.create_service(ResetEpisode, PLACE_ROBOT, self._place)
+        self._node.create_service(ResetEpisode, names.PLACE_ROBOT, self._place)
 
     def _place(self, request: ResetEpisode.Request, response: ResetEpisode.Response) -> ResetEpisode.Response:
         assert self._on_place is not None

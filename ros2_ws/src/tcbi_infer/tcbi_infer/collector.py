@@ -20,7 +20,6 @@ from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.collection import Request, check, next_tick, rollout_id, scenario_of
 from tcbi_infer.collection_messages import begin_event, blocks_of, distance_between, request_of
 from tcbi_infer.errors import RecordingError
-from tcbi_infer.names import PLACE_ROBOT
 from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import RolloutEvent
 from tcbi_msgs.srv import LoadPolicy, ResetEpisode
@@ -67,7 +66,7 @@ class Collector:
         self._rollout_id = ""
         self._hands_s = HANDS_S
         self._reset = node.create_client(ResetEpisode, names.RESET_EPISODE)
-        self._place = node.create_client(ResetEpisode, PLACE_ROBOT)
+        self._place = node.create_client(ResetEpisode, names.PLACE_ROBOT)
         self._load = node.create_client(LoadPolicy, names.LOAD_POLICY)
         self._enable = node.create_client(SetBool, names.ENABLE_POLICY)
 
@@ -277,13 +276,13 @@ class Collector:
         if not await Until(self._place.service_is_ready, self._hands_s):
             self._hands_s = 0.0  # nobody is there; do not wait again
             self.node.get_logger().warning(
-                f"nobody offers {PLACE_ROBOT}: {reset.message or 'the ground is taken as it is'}"
+                f"nobody offers {names.PLACE_ROBOT}: {reset.message or 'the ground is taken as it is'}"
             )
             return reset
         future = self._place.call_async(request)
         if not await Until(future.done, self.node.values.place_timeout_s):
-            raise RecordingError(f"{PLACE_ROBOT} was not answered within {self.node.values.place_timeout_s:g} s")
-        placed = _succeeded(future.result(), PLACE_ROBOT)
+            raise RecordingError(f"{names.PLACE_ROBOT} was not answered within {self.node.values.place_timeout_s:g} s")
+        placed = _succeeded(future.result(), names.PLACE_ROBOT)
         if placed.stamp.sec or placed.stamp.nanosec:
             reset.stamp = placed.stamp
         else:

@@ -23,6 +23,7 @@ from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
+from tcbi_infer.diagnose import adopt
 from tcbi_infer.inference_worker import DIAGNOSE, INFER, Job
 from tcbi_infer.messages import diagnosis_message, model_error_message, number, posterior_message
 from tcbi_infer.rollout_folder import RolloutFolder
@@ -30,12 +31,12 @@ from tcbi_infer.worker_process import Worker
 from tcbi_msgs.action import Diagnose, Retrain
 from tcbi_msgs.msg import Diagnosis, ModelError, Posterior, RolloutEvent
 from tcbi_msgs.srv import AddEffect, LoadModel
+from tcbi_sim.model import Model
 from tcbi_sim.store import LATEST, ModelStore
 
 DIAGNOSIS_POLL_S = 0.1
 ENDING_S = 6.0  # for a diagnosis to end with the node
 BUSY_S = 10.0  # before a busy retrain server is asked again
-INFERENCE_LOAD_MODEL = f"inference/{names.LOAD_MODEL}"  # the simulator serves load_model for what it simulates
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class InferenceNode(Node):
         self.create_subscription(
             RolloutEvent, names.ROLLOUT_EVENT, self._on_event, messages.LATCHED_QOS, callback_group=rest
         )
-        self.create_service(LoadModel, INFERENCE_LOAD_MODEL, self._on_load, callback_group=rest)
+        self.create_service(LoadModel, names.INFERENCE_LOAD_MODEL, self._on_load, callback_group=rest)
         self.create_service(AddEffect, names.ADD_EFFECT, self._on_add, callback_group=rest)
         self._retrain = ActionClient(self, Retrain, names.RETRAIN, callback_group=rest)
         self._server = ActionServer(

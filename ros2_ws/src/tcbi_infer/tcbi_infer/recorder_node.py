@@ -29,7 +29,6 @@ from tcbi_infer.bags.schemas import stamp_of
 from tcbi_infer.collector import Collector
 from tcbi_infer.errors import InferError, RecordingError
 from tcbi_infer.interfaces import STREAMS
-from tcbi_infer.names import DISTANCE
 from tcbi_infer.recorder import Recorder
 from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import RolloutEvent
@@ -106,7 +105,7 @@ class RecorderNode(Node):
                 message_type, name, self._handler(topic), qos, raw=True, event_callbacks=lost
             )
         self.create_subscription(RolloutEvent, names.ROLLOUT_EVENT, self._on_event, messages.LATCHED_QOS, raw=True)
-        self.create_subscription(Float64, DISTANCE, self._on_distance, 10)
+        self.create_subscription(Float64, names.DISTANCE, self._on_distance, 10)
         self.create_subscription(String, names.POLICY_STATUS, self._on_policy, messages.LATCHED_QOS)
 
     def _handler(self, topic: str) -> Any:

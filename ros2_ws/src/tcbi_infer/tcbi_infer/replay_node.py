@@ -56,7 +56,7 @@ class ReplayNode(Node):
         self._publishers_of: dict[str, Any] = {name: self._publisher(name) for name in self.schedule.topics}
         self._clock_publisher: Any = None
         if self.values.publish_clock:
-            self._clock_publisher = self.create_publisher(ClockMessage, "/clock", messages.STREAM_QOS)
+            self._clock_publisher = self.create_publisher(ClockMessage, names.CLOCK, messages.STREAM_QOS)
         self.published = 0
         self.finished = False
         self._next = 0

@@ -148,7 +148,7 @@ class SimNode(Node):
 
     def _start_lockstep(self) -> None:
         self.clock = LockstepClock(self.values.lockstep_timeout_s)
-        self._clock_publisher = self.create_publisher(ClockMessage, "/clock", messages.STREAM_QOS)
+        self._clock_publisher = self.create_publisher(ClockMessage, names.CLOCK, messages.STREAM_QOS)
         self._publish_clock()
         self.create_timer(min(0.1, self.values.lockstep_timeout_s / 4), self._watch, clock=self._steady)
 

@@ -20,10 +20,9 @@ from tcbi_bringup.emulated_robot.errors import EmulatedRobotError
 from tcbi_bringup.emulated_robot.experimenter import ExperimenterClient, checked, default_socket_path
 from tcbi_bringup.emulated_robot.mechanics import Box, Scene
 from tcbi_contract.messages import STREAM_QOS, tracker_pose
-from tcbi_contract.names import TRACKER_POSE
+from tcbi_contract.names import PLACE_ROBOT, TRACKER_POSE
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
-from tcbi_infer.names import PLACE_ROBOT
 from tcbi_msgs.srv import ResetEpisode
 
 
