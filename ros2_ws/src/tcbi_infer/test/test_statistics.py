@@ -73,6 +73,16 @@ def test_reward_is_the_training_reward() -> None:
     assert reward == pytest.approx([0.0, -600 * 0.4**2])
 
 
+def test_without_a_tracker_the_distance_at_the_end_gives_one_reward_a_rollout() -> None:
+    reward = library()["reward"]
+    forward = {"scenarios": (Scenario("forward", 2.0),)}
+    measured = arrays(**forward, distance=np.array([[0.05]]))
+    assert reward.missing(measured) == ""
+    assert reward.compute(measured) == pytest.approx(np.full((1, 1, 1, 1), (90000 * 0.05 - 600 * 0.4**2) / 2))
+    assert "neither a position nor a distance" in reward.missing(arrays(**forward))
+    assert np.isnan(reward.compute(arrays(**forward, distance=np.array([[np.nan]])))).all()
+
+
 def test_a_missing_signal_is_named_and_the_rest_is_used() -> None:
     kept, left_out = select(CALIBRATED, arrays(attitude=None, contact=None))
     assert {s.name for s in kept} == {"joint_tracking", "early_response", "body_rates"}

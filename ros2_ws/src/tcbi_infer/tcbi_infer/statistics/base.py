@@ -29,6 +29,7 @@ class RolloutArrays:
     angular_velocity: np.ndarray | None = None  # (N, S, T, 3) rad/s
     contact: np.ndarray | None = None  # (N, S, T, F) bool
     position: np.ndarray | None = None  # (N, S, T, 3) m
+    distance: np.ndarray | None = None  # (N, S) m from first to last time, along the heading at the start; NaN: unknown
 
     @property
     def count(self) -> tuple[int, int]:
@@ -109,6 +110,7 @@ def from_measurements(measurements: Sequence[Measurement], time: np.ndarray) -> 
         return None if any(v is None for v in values) else np.stack(values)[None]
 
     command_time, command_target = padded_commands([(m.commands.time, m.commands.target) for m in measurements])
+    distance = np.array([[m.distance for m in measurements]])
     joint_position = stacked("joint_position")
     assert joint_position is not None
     return RolloutArrays(
@@ -124,6 +126,7 @@ def from_measurements(measurements: Sequence[Measurement], time: np.ndarray) -> 
         angular_velocity=stacked("angular_velocity"),
         contact=stacked("contact"),
         position=stacked("position"),
+        distance=distance if np.isfinite(distance).any() else None,
     )
 
 

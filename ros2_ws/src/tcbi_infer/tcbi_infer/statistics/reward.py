@@ -1,17 +1,23 @@
-"""Reward per control step (one of the paper's three statistics), by the formula that training uses."""
+"""Reward per control step (one of the paper's three statistics), by the formula that training uses.
+
+Without a position, a task that counts distance has no reward of single steps; the distance at the end still gives the
+return, hence the mean reward per step: one sample a rollout.
+"""
 
 import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.statistics.base import RolloutArrays, Statistic
-from tcbi_policy.reward import counts_distance, has_reward, progress, step_rewards
+from tcbi_policy.reward import DISTANCE, counts_distance, has_reward, step_rewards, terms_of
+from tcbi_sim.measurement import progress
 
 
 def rewards(arrays: RolloutArrays) -> np.ndarray:
-    """(N, S, 1, K) reward of each control step; NaN after a rollout's last command."""
+    """(N, S, 1, K) reward of each control step, NaN after a rollout's last command; or (N, S, 1, 1) their mean."""
     assert arrays.attitude is not None
     n, s = arrays.count
-    values = np.full((n, s, 1, arrays.command_time.shape[1]), np.nan)
+    whole = arrays.position is None and any(counts_distance(scenario.task) for scenario in arrays.scenarios)
+    values = np.full((n, s, 1, 1 if whole else arrays.command_time.shape[1]), np.nan)
     for i, scenario in enumerate(arrays.scenarios):
         given = int(np.isfinite(arrays.command_time[i]).sum())
         if given == 0:
@@ -21,26 +27,35 @@ def rewards(arrays: RolloutArrays) -> np.ndarray:
         moved = None if arrays.position is None else progress(arrays.position[:, i, rows], scenario.initial_yaw)
         start = scenario.initial_joint_position
         previous: np.ndarray | float = 0.0 if start is None else np.asarray(start, float)
-        target = arrays.command_target[:, i, :given]
-        values[:, i, 0, :given] = step_rewards(scenario.task, arrays.attitude[:, i, rows], moved, target, previous)
+        target, terms = arrays.command_target[:, i, :given], terms_of(scenario.task)
+        known = tuple(term for term in terms if not (whole and term.name == DISTANCE))
+        steps = step_rewards(known, arrays.attitude[:, i, rows], moved, target, previous)
+        if not whole:
+            values[:, i, 0, :given] = steps
+            continue
+        values[:, i, 0, 0] = steps.mean(axis=-1)
+        if len(known) < len(terms):
+            assert arrays.distance is not None
+            weight = sum(term.weight for term in terms if term.name == DISTANCE)
+            values[:, i, 0, 0] += weight * arrays.distance[:, i] / given
     return values
 
 
 def lacks(arrays: RolloutArrays) -> str:
-    """A reward needs a task that has one, and a position where the task counts distance."""
+    """A reward needs a task that has one, and a position or the distance at the end where it counts distance."""
     tasks = {scenario.task for scenario in arrays.scenarios}
     unknown = sorted(task for task in tasks if not has_reward(task))
     if unknown:
         return f"a task without a reward ({', '.join(unknown)})"
-    if arrays.position is None and any(counts_distance(task) for task in tasks):
-        return "no position, which the reward per step of this task needs"
+    if arrays.position is None and arrays.distance is None and any(counts_distance(task) for task in tasks):
+        return "neither a position nor a distance at the end, of which the reward of this task needs one"
     return ""
 
 
 STATISTIC = Statistic(
     name="reward",
     unit="1",
-    description="reward of each control step",
+    description="reward of each control step; per rollout where only the distance at the end is known",
     needs=("attitude",),
     channels=lambda arrays: ("reward",),
     compute=rewards,

@@ -27,7 +27,7 @@ from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
 from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noisier, sample_rate, sensor_noise
 from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
-from tcbi_sim.measurement import Measurement, quaternion_from_rpy
+from tcbi_sim.measurement import Measurement, progress, quaternion_from_rpy
 from tcbi_sim.model import Model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
@@ -247,7 +247,16 @@ def as_arrays(rollouts: SimulatedRollouts, group: Group, closed: bool) -> Rollou
         angular_velocity=cut(rollouts.angular_velocity, real.angular_velocity),
         contact=cut(rollouts.contact, real.contact),
         position=cut(rollouts.position, real.position),
+        distance=_distance(rollouts, real, length),
     )
+
+
+def _distance(rollouts: SimulatedRollouts, real: RolloutArrays, length: int) -> np.ndarray | None:
+    """(N, S) m where the real rollouts have one."""
+    if rollouts.position is None or real.distance is None:
+        return None
+    heading = np.array([scenario.initial_yaw for scenario in real.scenarios])
+    return np.where(np.isnan(real.distance), np.nan, progress(rollouts.position[:, :, :length], heading)[..., -1])
 
 
 def with_noise(arrays: RolloutArrays, noise: Noise, rngs: Sequence[np.random.Generator]) -> RolloutArrays:

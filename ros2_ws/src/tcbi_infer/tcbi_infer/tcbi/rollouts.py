@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.errors import InferError
 from tcbi_infer.gaps import unusable
 from tcbi_infer.statistics import RolloutArrays, from_measurements
@@ -140,7 +141,10 @@ def _until(m: Measurement, duration: float) -> Measurement:
         target=m.commands.target[inside],
         torque_on=None if power is None else power[inside],
     )
-    return dataclasses.replace(m, commands=commands, scenario=dataclasses.replace(m.scenario, duration=duration))
+    cut = min(m.scenario.duration, float(m.time[-1])) - duration
+    distance = m.distance if cut < CONTROL_PERIOD_S + 1e-6 else np.nan  # it was read at the end
+    scenario = dataclasses.replace(m.scenario, duration=duration)
+    return dataclasses.replace(m, commands=commands, scenario=scenario, distance=distance)
 
 
 def sensor_noise(measurements: Sequence[Measurement], nominal: Noise) -> Noise:

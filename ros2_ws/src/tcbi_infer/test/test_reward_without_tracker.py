@@ -1,0 +1,63 @@
+"""Walking that nothing tracked: the operator's distance is enough for the reward statistic, measured and simulated."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tcbi_infer.errors import InferError
+from tcbi_infer.statistics import library
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_policy.gaits import Gait
+from tcbi_policy.reward import episode_reward
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Measurement, Scenario
+from tcbi_sim.model import base_model
+
+MODEL = base_model("hexapod")
+REWARD = {"statistics": ("reward",), "timestep": 0.01}
+
+
+@pytest.fixture(scope="module")
+def tracked() -> list[Measurement]:
+    """Two walks on different slopes, facing different ways."""
+    scenarios = [Scenario("forward", 2.0, slope_pitch=0.1 * k, initial_yaw=0.7 + k) for k in range(2)]
+    out = simulate(MODEL, MODEL.mean()[None], scenarios, controller=Gait("tripod"), timestep=0.01)
+    return [out.measurement(0, s, f"walk{s}", "gait:tripod") for s in range(2)]
+
+
+def untracked(tracked: list[Measurement], *distances: float) -> list[Measurement]:
+    return [
+        dataclasses.replace(m, position=None, distance=d)
+        for m, d in zip(tracked, distances or [m.distance for m in tracked], strict=True)
+    ]
+
+
+def test_the_reward_statistic_of_walking_needs_no_tracker(tracked: list[Measurement]) -> None:
+    problem = Problem.of(MODEL, untracked(tracked), **REWARD)
+    returns = [episode_reward(m).total / len(m.commands.time) for m in tracked]
+    assert np.sort(problem.real_samples[0]) == pytest.approx(np.sort(returns))
+    (rollouts,), valid = problem._rollouts(MODEL.to_unit(MODEL.mean()[None]))
+    assert valid.all() and rollouts.position is None
+    again = library()["reward"].compute(rollouts)[0, :, 0, 0]
+    assert again == pytest.approx(returns, abs=1.0)  # less the sensors' noise
+
+
+def test_one_distance_forgotten_costs_that_rollout_alone_and_all_forgotten_are_named(
+    tracked: list[Measurement],
+) -> None:
+    problem = Problem.of(MODEL, untracked(tracked, np.nan, 0.1), **REWARD)
+    assert len(problem.real_samples[0]) == 1
+    (rollouts,), _ = problem._rollouts(MODEL.to_unit(MODEL.mean()[None]))
+    assert np.isfinite(library()["reward"].compute(rollouts)).sum() == 1
+    with pytest.raises(InferError, match="neither a position nor a distance at the end"):
+        Problem.of(MODEL, untracked(tracked, np.nan, np.nan), **REWARD)
+
+
+def test_a_distance_counts_only_for_the_motion_that_made_it(tracked: list[Measurement]) -> None:
+    """A rollout that is cut to the length of another has come another distance by then."""
+    first, second = untracked(tracked)
+    shorter = dataclasses.replace(second, scenario=dataclasses.replace(second.scenario, duration=1.76))
+    problem = Problem.of(MODEL, [first, shorter], **REWARD)
+    assert len(problem.groups) == 1
+    assert np.isnan(problem.groups[0].arrays.distance).tolist() == [[True, False]]
