@@ -1,4 +1,4 @@
-"""The set-up's own parts: what it says of a machine, what it passes on to uv, what it rewrites, how it heals."""
+"""The set-up's own parts: what it says of a machine, what it passes on to uv, what it rewrites."""
 
 import os
 import shutil
