@@ -11,7 +11,7 @@ from tcbi_bringup.errors import BringupError
 from tcbi_bringup.study import tables
 from tcbi_bringup.study.experiment import Experiment
 from tcbi_bringup.study.notebook import Notebook
-from tcbi_bringup.study.page import write
+from tcbi_bringup.study.page import generations, write
 from tcbi_bringup.study.plan import CONTESTANTS, EFFECT, FIRST, PRESETS, WINNER, Plan, TaskPlan, chosen
 from tcbi_bringup.study.robots import Laboratory
 from tcbi_infer.baselines.prior import PriorSettings
@@ -96,6 +96,72 @@ def test_a_difference_shows_in_welchs_test_and_in_the_interval(tmp_path: Path) -
 def test_where_there_is_no_difference_none_is_claimed(tmp_path: Path) -> None:
     (row,) = tables.comparisons(invented(tmp_path, 0.0), "balance")
     assert row["p_returns"] > 0.05 and row["gain_returns_low95"] < 0 < row["gain_returns_high95"]
+
+
+TRUTH = {"friction": 0.5, "mass": 2.0, "gain": 10.0}  # of the first robot; every further one has 1.5 times as much
+
+
+def inferred(folder: Path, robots: int, wall_s: tuple[float, ...] = ()) -> tables.Findings:
+    """Two generations of one method, and the prior: means 20 % too large, then 10 % +- 1 % by robot."""
+    folder.mkdir(exist_ok=True)
+    plan = Plan({"balance": TINY.tasks["balance"]}, tuple((r, "strong") for r in range(robots)), ("fixed_dr", WINNER))
+    notebook = Notebook(folder / "study.jsonl")
+    for robot in range(robots):
+        truth = np.array(list(TRUTH.values())) * 1.5**robot
+        share = 1.1 + 0.01 * (-1) ** robot
+        runs = [
+            {"mean": 1.2 * truth, "variance_ratio": [0.6] * 3},
+            {"mean": share * truth, "variance_ratio": [0.3] * 3},
+        ]
+        ends = [
+            {"name": name, "mean": share * t, "low90": 0.9 * t, "high90": (1.3 if robot else 0.95) * t,
+             "variance_ratio": 0.3 + 0.1 * robot}
+            for name, t in zip(TRUTH, truth, strict=True)
+        ]  # fmt: skip
+        notebook.once(("collect", "balance", robot), lambda t=truth: {"truth": dict(zip(TRUTH, t, strict=True))})
+        for name, history in (("fixed_dr", runs[:1]), (WINNER, runs)):
+            timed = [g | {"wall_s": s} for g, s in zip(history, wall_s, strict=False)] if wall_s else history
+            found = {"seconds": 6.0, "generations": timed, "estimates": ends}
+            notebook.once(("infer", "balance", robot, name), functools.partial(dict, found))
+    return tables.Findings(plan, notebook)
+
+
+def test_curves_show_the_distance_from_each_robots_own_truth_with_an_interval_over_robots(tmp_path: Path) -> None:
+    rows = [r for r in tables.progress(inferred(tmp_path, 4), "balance") if r["name"] == WINNER]
+    assert len(rows) == 2 * len(tables.PARAMETERS)
+    for row in rows:
+        assert row["error"] == pytest.approx({1: 0.2, 2: 0.1}[row["generation"]])
+        assert row["variance_ratio"] == pytest.approx({1: 0.6, 2: 0.3}[row["generation"]])
+        width = row["error_high95"] - row["error_low95"]
+        assert row["error_low95"] <= row["error"] <= row["error_high95"]
+        assert 0.005 < width < 0.021 if row["generation"] == 2 else width < 1e-9
+
+
+def test_the_reduction_of_variance_has_an_interval_over_robots_and_none_with_two(tmp_path: Path) -> None:
+    many, few = inferred(tmp_path / "many", 4), inferred(tmp_path / "few", 2)
+    row = next(r for r in tables.variance_reduction(many, "balance") if r["name"] == WINNER)
+    assert row["variance_reduction"] == pytest.approx(0.55) and row["truth_in_90"] == 3 and row["robots"] == 4
+    assert 0.4 <= row["variance_reduction_low95"] < 0.5 < 0.6 < row["variance_reduction_high95"] <= 0.7
+    assert row["relative_error_low95"] < row["relative_error"] < row["relative_error_high95"]
+    row = next(r for r in tables.variance_reduction(few, "balance") if r["name"] == WINNER)
+    assert np.isnan(row["variance_reduction_low95"]) and np.isnan(row["relative_error_high95"])
+
+
+def test_the_page_draws_a_band_over_three_robots_and_each_robot_where_there_are_fewer(tmp_path: Path) -> None:
+    for robots, bands in ((4, True), (2, False)):
+        findings = inferred(tmp_path / str(robots), robots)
+        rows = [r for r in tables.progress(findings, "balance") if r["parameter"] == "mass"]
+        assert ("FillBetween" in generations(rows, "error", "axis")) == bands
+        page = write(findings, tmp_path / f"{robots}.html").read_text()
+        assert "(mean − truth) / truth of mass" in page and "nan" not in page
+
+
+def test_intervals_cover_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(1)
+    robots = [rng.normal(0, 1, 12) for _ in range(60)]  # one number of each of twelve robots, sixty times
+    ends = np.array([tables.interval([np.array([x]) for x in each]) for each in robots])
+    assert 0.8 <= np.mean((ends[:, 0] < 0) & (ends[:, 1] > 0)) <= 0.99
+    assert tables.interval([np.array([1.0, 3.0])] * 2) == (1.0, 3.0)  # within two robots
 
 
 def test_holms_correction_is_the_textbooks() -> None:

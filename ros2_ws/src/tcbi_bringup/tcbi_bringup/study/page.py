@@ -11,11 +11,10 @@ from tcbi_bringup.study.plan import LABELS, WINNER
 from tcbi_bringup.study.tables import ENOUGH_ROBOTS, PARAMETERS, Findings
 from tcbi_infer.report import Report, Section, Table
 from tcbi_infer.report.page import Figure
-from tcbi_infer.report.plots import STYLE, WIDE, canvas, to_svg
+from tcbi_infer.report.plots import INK, STYLE, WIDE, canvas, to_svg
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c949e", "#b8a800")
 SHOWN = {"inclination_deg": 2, "distance_cm": 1, "divergence_nats": 3}  # digits
-UNITS = {"friction": "friction", "mass": "mass / kg", "gain": "gain / (N m/rad)"}
 LEAD = (
     "Each emulated robot has its own friction, mass, servo stiffness and a hidden effect, and its own physics. A first "
     "policy collected rollouts; every method inferred the parameters from the same rollouts with the same number of "
@@ -26,6 +25,8 @@ WELCH = (
     "Welch's t-test over all rollouts, as the paper has it. Rollouts on one robot resemble one another, so with few "
     "robots its p values are too small."
 )
+BAND = "Mean over robots, with its 95 % interval as a band; with fewer than three, a thin line for each robot."
+NONE_OF_FEW = "Intervals are 95 %, from resampling robots: with fewer than three robots there is none."
 WIDTH = (
     "A smaller variance alone is no merit: a method may be narrow and wrong, which the error and the share of "
     "intervals that hold the truth tell."
@@ -80,7 +81,7 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
         "n",
     ]
     cells = [
-        [r["label"], _spread(r, "return", 0), f"{r['return_low95']:.0f} to {r['return_high95']:.0f}",
+        [r["label"], _spread(r, "return", 0), _range(r, "return"),
          *(_spread(r, key, digits) for key, digits in SHOWN.items()), r["rollouts"]]
         for r in rows
     ]  # fmt: skip
@@ -116,50 +117,64 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
 
 
 def _inference(report: Report, findings: Findings, task: str, found: dict[str, Any]) -> None:
-    head = ["method", "parameter", "variance less than prior", "error of the mean", "truth inside 90 %", "robots"]
-    rows = [
-        [
-            r["label"],
-            r["parameter"],
-            f"{r['variance_reduction']:.0%}",
-            f"{r['relative_error']:.0%}",
-            f"{r['truth_in_90']:.0%}",
-            r["robots"],
-        ]
-        for r in found["variance_reduction"]
+    head = [
+        "method",
+        "parameter",
+        "variance less than prior",
+        "95 %",
+        "error of the mean",
+        "95 %",
+        "truth inside 90 %",
     ]
+    rows = [
+        [r["label"], r["parameter"],
+         f"{r['variance_reduction']:.0%}", _range(r, "variance_reduction", ".0%"),
+         f"{r['relative_error']:.0%}", _range(r, "relative_error", ".0%"),
+         f"{r['truth_in_90']} of {r['robots']}"]
+        for r in found["variance_reduction"]
+    ]  # fmt: skip
     shown = []
-    for i, parameter in enumerate(PARAMETERS):
-        for which, axis in ((0, UNITS[parameter]), (1, f"variance of {parameter} / prior's")):
-            caption = (
-                f"Figures 6 to 8: {'mean' if which == 0 else 'variance'} of {parameter} by generation, mean over robots"
-            )
-            shown.append(Figure(generations(findings, task, i, which, axis), caption))
+    for parameter in PARAMETERS:
+        mine = [r for r in found["progress"] if r["parameter"] == parameter]
+        for key, axis, what in (
+            ("error", f"(mean − truth) / truth of {parameter}", f"error of the mean of {parameter}, with its sign"),
+            ("variance_ratio", f"variance of {parameter} / prior's", f"variance of {parameter}"),
+        ):
+            shown.append(Figure(generations(mine, key, axis), f"Figures 6 to 8: {what}, by generation. {BAND}"))
     shown.append(Figure(bars_of_time(found["seconds"]), "Figure 11: wall time of a generation", True))
-    report.add(Section(f"{task}: inference (Table 3)", text=[WIDTH], table=Table(head, rows), figures=shown))
+    table = Table(head, rows, NONE_OF_FEW)
+    report.add(Section(f"{task}: inference (Table 3)", text=[WIDTH], table=table, figures=shown))
 
 
 def _spread(row: dict[str, Any], key: str, digits: int) -> str:
     return f"{row[key]:.{digits}f} ± {row[f'{key}_sd']:.{digits}f}"
 
 
-def _range(row: dict[str, Any], key: str) -> str:
-    return f"{row[f'{key}_low95']:.0f} to {row[f'{key}_high95']:.0f}" if f"{key}_low95" in row else "–"
+def _range(row: dict[str, Any], key: str, how: str = ".0f") -> str:
+    low, high = (row.get(f"{key}_{side}95", np.nan) for side in ("low", "high"))
+    return f"{low:{how}} to {high:{how}}" if np.isfinite(low) else "–"
 
 
 def _p(row: dict[str, Any], key: str) -> str:
     return f"{row[key]:.2g}" if key in row else "–"
 
 
-def generations(findings: Findings, task: str, parameter: int, which: int, axis: str) -> str:
-    """Mean or variance of one parameter over the generations of each method."""
+def generations(rows: tables.Rows, key: str, axis: str) -> str:
+    """One parameter's error or variance over the generations of each method: a band over robots, or each of a few."""
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(2.6)
-        for name, color in zip(findings.plan.contestants, COLORS, strict=False):
-            found = tables.progress_of(findings, task, name)
-            if found is not None:
-                values = found[which][:, :, parameter].mean(axis=0)
-                axes.plot(np.arange(1, len(values) + 1), values, "o-", ms=3, lw=1.2, color=color, label=LABELS[name])
+        axes.axhline(0, color=INK, lw=0.6)
+        longest = max((r["generation"] for r in rows), default=1)
+        for name, color in zip(dict.fromkeys(r["name"] for r in rows), COLORS, strict=False):
+            mine = [r for r in rows if r["name"] == name]
+            if len(mine) == 1:  # a method without generations is a level for the others
+                mine = [mine[0], {**mine[0], "generation": longest}]
+            at, mean, low, high = ([r[k] for r in mine] for k in ("generation", key, f"{key}_low95", f"{key}_high95"))
+            if np.isfinite(low).all():
+                axes.fill_between(at, low, high, color=color, alpha=0.12, lw=0)
+            else:
+                axes.plot(at, [r[f"{key}_each"] for r in mine], color=color, alpha=0.4, lw=0.5)
+            axes.plot(at, mean, "o-", ms=3, lw=1.2, color=color, label=LABELS[name])
         axes.set_xlabel("generation")
         axes.set_ylabel(axis)
         axes.legend(fontsize=6)

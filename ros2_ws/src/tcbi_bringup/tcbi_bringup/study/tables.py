@@ -2,6 +2,8 @@
 
 Every row says on how many robots and rollouts it stands. Intervals are 95 %, from resampling robots (where there are
 three or more) and the rollouts within them; with fewer robots they speak of these robots alone, and the tables say so.
+What an inference gives is one number for each robot: its interval comes from resampling robots, and with fewer than
+three there is none (NaN).
 """
 
 from collections.abc import Sequence
@@ -44,6 +46,10 @@ class Findings:
         found = {robot: self.result("deploy", task, robot, name) for robot in self.robots}
         return {robot: np.array(r[what], float) for robot, r in found.items() if r is not None}
 
+    def truth(self, task: str, robot: int) -> dict[str, float]:
+        """The robot's own parameters."""
+        return (self.notebook.get("collect", task, robot) or {})["truth"]
+
     def names(self, task: str) -> list[str]:
         """Contestants that have deployed at least once, the first policy before all."""
         return [n for n in (FIRST, *self.plan.contestants) if self.values(task, n, "returns")]
@@ -66,18 +72,29 @@ class Findings:
 
 
 def interval(parts: Sequence[np.ndarray], rng: np.random.Generator | None = None) -> tuple[float, float]:
-    """95 % interval of the mean of values of several robots, by resampling."""
+    """95 % interval of the mean of values of several robots, by resampling; NaN where there is nothing to resample."""
     rng = rng or np.random.default_rng(0)
     parts = [p[np.isfinite(p)] for p in parts]
     parts = [p for p in parts if len(p)]
-    if not parts:
+    shape = (RESAMPLES, len(parts))
+    if len(parts) >= ENOUGH_ROBOTS:
+        picked = rng.integers(len(parts), size=shape)
+    elif all(len(p) == 1 for p in parts):
         return float("nan"), float("nan")
-    means = np.empty(RESAMPLES)
-    for k in range(RESAMPLES):
-        picked = rng.integers(len(parts), size=len(parts)) if len(parts) >= ENOUGH_ROBOTS else np.arange(len(parts))
-        means[k] = np.mean([np.mean(rng.choice(parts[i], len(parts[i]))) for i in picked])
-    low, high = np.quantile(means, (0.025, 0.975))
+    else:
+        picked = np.broadcast_to(np.arange(len(parts)), shape)
+    means = np.empty(shape)
+    for i, part in enumerate(parts):
+        here = picked == i
+        means[here] = part[rng.integers(len(part), size=(here.sum(), len(part)))].mean(axis=1)
+    low, high = np.quantile(means.mean(axis=1), (0.025, 0.975))
     return float(low), float(high)
+
+
+def _over_robots(key: str, each: Sequence[float]) -> dict[str, Any]:
+    """Mean and interval of one number of each robot, as entries of a row."""
+    low, high = interval([np.array([value], float) for value in each])
+    return {key: float(np.mean(each)), f"{key}_low95": low, f"{key}_high95": high}
 
 
 def performance(findings: Findings, task: str) -> Rows:
@@ -168,14 +185,14 @@ def variance_reduction(findings: Findings, task: str) -> Rows:
             reductions, errors, inside = [], [], []
             for robot, r in usable.items():
                 e = next(e for e in r["estimates"] if e["name"] == parameter)
-                truth = (findings.notebook.get("collect", task, robot) or {})["truth"][parameter]
+                truth = findings.truth(task, robot)[parameter]
                 reductions.append(1 - e["variance_ratio"])
                 errors.append(abs(e["mean"] - truth) / truth)
                 inside.append(e["low90"] <= truth <= e["high90"])
             rows.append({
                 "name": name, "label": LABELS[name], "parameter": parameter, "robots": len(usable),
-                "variance_reduction": float(np.mean(reductions)), "relative_error": float(np.mean(errors)),
-                "truth_in_90": float(np.mean(inside)),
+                **_over_robots("variance_reduction", reductions), **_over_robots("relative_error", errors),
+                "truth_in_90": int(np.sum(inside)),
             })  # fmt: skip
     return rows
 
@@ -208,18 +225,28 @@ def noise(findings: Findings, task: str) -> Rows:
     return rows
 
 
-def progress_of(findings: Findings, task: str, name: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Figures 6 to 8: (robots, generations, P) mean and variance ratio; generations after the last repeat it."""
-    found = [findings.result("infer", task, robot, name) for robot in findings.robots]
-    runs = [r["generations"] for r in found if r and r["generations"]]
-    if not runs:
-        return None
-    length = max(map(len, runs))
-    stacked = [
-        np.array([[g[key][: len(PARAMETERS)] for g in run + [run[-1]] * (length - len(run))] for run in runs], float)
-        for key in ("mean", "variance_ratio")
-    ]
-    return stacked[0], stacked[1]
+def progress(findings: Findings, task: str) -> Rows:
+    """Figures 6 to 8: error of the mean (share of the truth, signed) and variance (over the prior's) by generation.
+
+    The mean itself, averaged over robots of different truths, would say little. A robot whose inference has ended stays
+    where it was. `*_each` are the robots' own values.
+    """
+    rows: Rows = []
+    for name in findings.plan.contestants:
+        found = {robot: findings.result("infer", task, robot, name) for robot in findings.robots}
+        runs = {robot: r["generations"] for robot, r in found.items() if r and r["generations"]}
+        for i, parameter in enumerate(PARAMETERS if runs else ()):
+            truths = np.array([findings.truth(task, robot)[parameter] for robot in runs])
+            for t in range(max(map(len, runs.values()))):
+                now = [run[min(t, len(run) - 1)] for run in runs.values()]
+                error = (np.array([g["mean"][i] for g in now]) - truths) / truths
+                ratio = np.array([g["variance_ratio"][i] for g in now])
+                rows.append({
+                    "name": name, "label": LABELS[name], "parameter": parameter, "generation": t + 1,
+                    "robots": len(runs), "error_each": error.tolist(), "variance_ratio_each": ratio.tolist(),
+                    **_over_robots("error", error.tolist()), **_over_robots("variance_ratio", ratio.tolist()),
+                })  # fmt: skip
+    return rows
 
 
 def everything(findings: Findings) -> dict[str, Any]:
@@ -230,6 +257,7 @@ def everything(findings: Findings) -> dict[str, Any]:
             "comparisons": comparisons(findings, task),
             "effect": effect_gain(findings, task),
             "variance_reduction": variance_reduction(findings, task),
+            "progress": progress(findings, task),
             "seconds": seconds(findings, task),
             "noise": noise(findings, task),
         }
