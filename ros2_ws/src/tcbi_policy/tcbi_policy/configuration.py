@@ -43,6 +43,12 @@ class TrainingConfig:
     evaluate_every: int = 5  # sets of episodes between evaluations on fixed seeds
     evaluations: int = 48  # rollouts each
 
+    def randomisation(self) -> str:
+        """What is drawn at random beyond the model, in words; empty if nothing is."""
+        noise = f"noise of {self.observation_noise:g} rad on the observation" if self.observation_noise else ""
+        effects = f"{', '.join(self.effects)} in {self.effect_share:.0%} of the episodes" if self.effects else ""
+        return " and ".join(part for part in (noise, effects) if part)
+
     def to_json(self) -> str:
         """The configuration as it lies in a run's folder."""
         return json.dumps(dataclasses.asdict(self), indent=1) + "\n"

@@ -134,6 +134,11 @@ class NoisyObservation:
         return self.actor.act(time, observation + self.sigma * self._rng.standard_normal(observation.shape))
 
 
+def noisy(actor: Actor, sigma: float) -> Actor:
+    """The policy with noise of `sigma` (rad) on every entry of its observation; itself without."""
+    return NoisyObservation(actor, sigma) if sigma else actor
+
+
 @dataclass(frozen=True)
 class Comparison:
     """The gain of one policy over another under the same conditions."""

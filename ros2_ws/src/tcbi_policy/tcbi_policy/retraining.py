@@ -6,7 +6,9 @@
 The training runs in a subprocess in a folder of the store that belongs to the job: whoever dies, subprocess or caller,
 the next call with the same job goes on from the last checkpoint. A successor is accepted only if its return is higher
 with 95 % confidence on draws of the model that neither the training nor the choice of the best policy has seen;
-accepted ones are kept in the store under the next free name (`balance-1`, `balance-2`, ...).
+accepted ones are kept in the store under the next free name (`balance-1`, `balance-2`, ...). What a policy was trained
+to withstand beyond its model, noise on the observation and further effects, its successor meets too, in the training
+and in the comparison.
 """
 
 import dataclasses
@@ -18,10 +20,21 @@ from pathlib import Path
 from typing import Any
 
 from tcbi_contract.errors import describe
-from tcbi_policy.artefact import GAIT_PREFIX, Policy, find_policy, load_policy, policy_paths, replace_file, save_policy
+from tcbi_policy.artefact import (
+    GAIT_PREFIX,
+    Actor,
+    Policy,
+    find_policy,
+    load_policy,
+    policy_paths,
+    replace_file,
+    save_policy,
+)
 from tcbi_policy.configuration import TrainingConfig, preset
 from tcbi_policy.errors import PolicyNotFound, TrainingError
+from tcbi_policy.randomisation import randomised
 from tcbi_policy.runs import Run, TrainingProcess, write_run
+from tcbi_sim.model import Model
 from tcbi_sim.store import LATEST, ModelStore
 
 SCRATCH = "none"
@@ -74,10 +87,23 @@ def plan(job: Job) -> Run:
     if start:
         config = dataclasses.replace(fine_tuning(config), steps=min(config.steps, FINE_TUNING_STEPS))
     changes: dict[str, Any] = {"seed": job.seed, "budget_s": job.budget_s, "threads": job.threads}
+    changes |= _randomisation(find_policy(start, store.root) if start else current, job.task, model)
     if job.budget_steps:
         changes["steps"] = job.budget_steps
     rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
-    return Run(dataclasses.replace(config, **changes).checked(), model.version, str(store.root), start, rival)
+    config = dataclasses.replace(config, **changes).checked()
+    randomised(model, config.effects, config.effect_share)  # refuses what cannot be before a process is started
+    return Run(config, model.version, str(store.root), start, rival)
+
+
+def _randomisation(policy: Actor, task: str, model: Model) -> dict[str, Any]:
+    """The settings for what a policy of this task was trained with, without effects that the model has by now."""
+    if not isinstance(policy, Policy) or policy.card.task != task:
+        return {}
+    card = policy.card.training
+    effects = tuple(effect for effect in card.get("effects", ()) if effect not in model.effects)
+    share = card.get("effect_share", TrainingConfig.effect_share) if effects else TrainingConfig.effect_share
+    return {"observation_noise": card.get("observation_noise", 0.0), "effects": effects, "effect_share": share}
 
 
 def _start(job: Job, root: Path) -> str:

@@ -38,12 +38,14 @@ from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import (
+    Comparison,
     Conditions,
+    Evaluation,
     Network,
-    NoisyObservation,
     compare_paired,
     draw_conditions,
     evaluate,
+    noisy,
     step_spread,
 )
 from tcbi_policy.gaits import CYCLES, Gait
@@ -247,9 +249,7 @@ class Training:
         if self.state.curve and self.state.curve[-1]["steps"] == self.state.steps:
             return
         present = self.present()
-        actor: Actor = Network(present)
-        if self.config.observation_noise:
-            actor = NoisyObservation(actor, self.config.observation_noise)
+        actor = noisy(Network(present), self.config.observation_noise)
         result = evaluate(actor, self.model, self.conditions, self.config.timestep, self.config.threads).summary()
         self._clock()
         point = {"steps": self.state.steps, "cpu_s": round(self.state.cpu, 1), **result}
@@ -332,14 +332,26 @@ def train_run(folder: Path, report: Report) -> None:
     policy = Training(folder, run.config, model, start, report).run()
     if rival is None:
         return
-    conditions = draw_conditions(model, run.config.task, run.pairs, ACCEPTANCE_SEED + run.config.seed)
     report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
-    timing = (run.config.timestep, run.config.threads)
-    before = evaluate(rival, model, conditions, *timing)
-    unchanged = isinstance(rival, Policy) and rival.card.sha256 == policy.card.sha256  # the best was the first
-    comparison = compare_paired(before, before if unchanged else evaluate(policy, model, conditions, *timing))
-    facts = {"better": comparison.better, "statement": comparison.statement(), **dataclasses.asdict(comparison)}
+    comparison = compare_held_out(rival, policy, model, run)
+    also = run.config.randomisation()
+    statement = comparison.statement() + (f", both with {also}" if also else "")
+    facts = {"better": comparison.better, "statement": statement, **dataclasses.asdict(comparison)}
     report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, **facts})
+
+
+def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run) -> Comparison:
+    """A policy against its rival on held-out draws, both with the noise and the effects of the run's training."""
+    config, seed = run.config, ACCEPTANCE_SEED + run.config.seed
+    drawn = randomised(model, config.effects, config.effect_share, seed)
+    conditions = draw_conditions(drawn, config.task, run.pairs, seed)
+
+    def rolled_out(actor: Actor) -> Evaluation:
+        return evaluate(noisy(actor, config.observation_noise), drawn, conditions, config.timestep, config.threads)
+
+    before = rolled_out(rival)
+    unchanged = isinstance(rival, Policy) and rival.card.sha256 == policy.card.sha256  # the best was the first
+    return compare_paired(before, before if unchanged else rolled_out(policy))
 
 
 def main() -> int:

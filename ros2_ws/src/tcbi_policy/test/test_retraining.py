@@ -8,11 +8,18 @@ from typing import Any
 
 import pytest
 
+from tcbi_contract.errors import TcbiError
 from tcbi_policy import retraining
-from tcbi_policy.artefact import find_policy, policy_paths
+from tcbi_policy.artefact import Policy, find_policy, policy_paths, save_policy
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import PolicyNotFound, TrainingError
+from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
+from tcbi_policy.gaits import Gait
+from tcbi_policy.randomisation import randomised
 from tcbi_policy.retraining import OUTCOME, Job, next_name, plan, reference_of, retrain
+from tcbi_policy.runs import Run
+from tcbi_policy.training import ACCEPTANCE_SEED, compare_held_out
+from tcbi_sim.store import ModelStore
 
 SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
 TINY = TrainingConfig("balance", steps=320, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
@@ -43,6 +50,73 @@ def test_a_policy_of_another_task_is_no_start(tmp_path: Path) -> None:
         plan(job(tmp_path, start="gait:stand"))
 
 
+def robust(tmp_path: Path, **training: Any) -> Policy:
+    """A policy in the store whose card says what else it was trained with."""
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    card = dataclasses.replace(shipped.card, name="robust", training={**shipped.card.training, **training})
+    return save_policy(tmp_path / "policies" / "robust", shipped.mlp, card)
+
+
+def settings_of(run: Run) -> tuple[float, tuple[str, ...], float]:
+    return run.config.observation_noise, run.config.effects, run.config.effect_share
+
+
+RANDOMISATION: dict[str, Any] = {
+    "observation_noise": 0.02,
+    "effects": ["command_latency", "lost_commands"],
+    "effect_share": 0.25,
+}
+
+
+def test_the_successor_of_a_robust_policy_meets_what_that_was_trained_with(tmp_path: Path) -> None:
+    robust(tmp_path, **RANDOMISATION)
+    expected = (0.02, ("command_latency", "lost_commands"), 0.25)
+    assert settings_of(plan(job(tmp_path, current="robust"))) == expected
+    assert settings_of(plan(job(tmp_path, current="gait:stand", start="robust"))) == expected
+    assert settings_of(plan(job(tmp_path, current="robust", start="none"))) == expected
+    words = "noise of 0.02 rad on the observation and command_latency, lost_commands in 25% of the episodes"
+    assert plan(job(tmp_path, current="robust")).config.randomisation() == words
+    assert plan(job(tmp_path, current="robust", task="forward")).config.effects == ()
+
+
+def test_effects_that_the_model_has_by_now_are_not_added_again(tmp_path: Path) -> None:
+    robust(tmp_path, **RANDOMISATION)
+    store = ModelStore(tmp_path)
+    version = store.save(store.load("hexapod-v0").with_effect("command_latency")).version
+    run = plan(job(tmp_path, current="robust", model=version))
+    assert settings_of(run) == (0.02, ("lost_commands",), 0.25)
+
+
+def test_a_policy_trained_without_either_is_retrained_as_the_preset_says(tmp_path: Path) -> None:
+    changes: dict[str, Any] = {"seed": 3, "observation_noise": 0.0, "effects": (), "effect_share": 0.5}
+    expected = dataclasses.replace(retraining.fine_tuning(TINY), **changes)
+    assert plan(job(tmp_path, seed=3)).config == expected
+    assert expected.randomisation() == ""
+
+
+def test_an_effect_that_exists_no_more_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    robust(tmp_path, effects=["magic"], effect_share=0.5)
+    with pytest.raises(TcbiError, match="magic"):
+        plan(job(tmp_path, current="robust"))
+
+
+@pytest.mark.parametrize("randomised_too", [False, True])
+def test_both_are_compared_under_the_conditions_of_the_training(tmp_path: Path, randomised_too: bool) -> None:
+    """Measured apart: what the comparison says of the rival is its return under these conditions, and no other."""
+    policy = robust(tmp_path, **RANDOMISATION if randomised_too else {})
+    run = dataclasses.replace(plan(job(tmp_path, current="robust")), pairs=3)
+    model, rival = ModelStore(tmp_path).load(run.model), Gait("stand")
+    found = compare_held_out(rival, policy, model, run)
+    if randomised_too:
+        model = randomised(model, ("command_latency", "lost_commands"), 0.25, ACCEPTANCE_SEED)
+    conditions = draw_conditions(model, "balance", 3, ACCEPTANCE_SEED)
+    sigma = 0.02 if randomised_too else 0.0
+    before, after = (evaluate(noisy(p, sigma), model, conditions).mean_return for p in (rival, policy))
+    assert (found.before, found.after) == (before, after)
+    assert (after == evaluate(policy, model, conditions).mean_return) != randomised_too  # the noise does something
+
+
 def test_the_budget_of_the_request_holds(tmp_path: Path) -> None:
     config = plan(job(tmp_path, budget_s=12.0, budget_steps=77, seed=5)).config
     assert (config.budget_s, config.steps, config.seed) == (12.0, 77, 5)
@@ -69,12 +143,15 @@ def test_a_job_ends_with_a_verdict_and_only_a_better_policy_is_kept(tmp_path: Pa
 
 @SUBPROCESS
 def test_a_hopeless_rival_is_replaced_by_a_policy_with_a_name_of_its_own(tmp_path: Path) -> None:
-    outcome = retrain(job(tmp_path, current="gait:dither", start="balance", budget_steps=1), lambda event: None)
+    robust(tmp_path, observation_noise=0.01)
+    outcome = retrain(job(tmp_path, current="gait:dither", start="robust", budget_steps=1), lambda event: None)
     assert outcome.accepted and outcome.reference == "balance-1"
     assert outcome.return_after > outcome.return_before
     policy = find_policy("balance-1", tmp_path)
-    assert policy.policy_id.startswith("balance-1@")
+    assert isinstance(policy, Policy) and policy.policy_id.startswith("balance-1@")
     assert policy.card.training["comparison"]["after"] == outcome.return_after
+    assert policy.card.training["observation_noise"] == 0.01
+    assert outcome.message.endswith("both with noise of 0.01 rad on the observation")
     assert reference_of(policy.policy_id, tmp_path) == "balance-1"
 
 
