@@ -9,7 +9,7 @@ import pytest
 from tcbi_contract.names import JOINT_LIMIT, JOINTS, LEGS
 from tcbi_sim.measurement import Scenario, roll_pitch_yaw
 from tcbi_sim.model import base_model
-from tcbi_sim.rigs.hexapod import build, dimensions
+from tcbi_sim.rigs.hexapod import GROUND, ROBOT, build, dimensions
 from tcbi_sim.simulator import Simulator
 from tcbi_sim.tasks import BLOCK_HEIGHT, TASKS
 
@@ -76,17 +76,37 @@ def test_standing_on_a_slope_the_imu_shows_the_slope_and_gravity():
     assert now.contact.all(), "all six feet carry"
 
 
-def test_legs_collide_with_each_other():
-    simulator = Simulator(base_model("hexapod"), NOMINAL, [Scenario("balance", 2.0)], threads=1)
-    towards = np.zeros((1, 18))
-    towards[0, JOINTS.index("lf_coxa")], towards[0, JOINTS.index("lm_coxa")] = -JOINT_LIMIT, JOINT_LIMIT
-    simulator.command(towards)
-    simulator.advance(2.0)
-    model, data = simulator.materialise()
-    pairs = {frozenset((model.geom(c.geom1).name, model.geom(c.geom2).name)) for c in data.contact}
-    front_middle = {p for p in pairs if all(name.startswith(("lf_", "lm_")) for name in p) and len(p) == 2}
-    apart = np.linalg.norm(data.site("lf_foot").xpos - data.site("lm_foot").xpos)
-    assert front_middle or apart > 2 * dimensions()["leg"]["foot_radius"], "legs never pass through each other"
+def touching(model: mujoco.MjModel, pose: np.ndarray) -> set[frozenset[str]]:
+    """Pairs of the robot's parts that touch in a pose (18,) rad, high above the ground."""
+    data = mujoco.MjData(model)
+    data.qpos[2] = 1.0
+    data.qpos[[model.joint(joint).qposadr[0] for joint in JOINTS]] = pose
+    mujoco.mj_fwdPosition(model, data)
+    return {frozenset((model.geom(c.geom1).name, model.geom(c.geom2).name)) for c in data.contact[: data.ncon]}
+
+
+NEIGHBOURS = [("lf", "lm"), ("lm", "lr"), ("rf", "rm"), ("rm", "rr")]
+
+
+@pytest.mark.parametrize("pair", NEIGHBOURS, ids="-".join)
+def test_legs_that_cross_collide(pair):
+    simulated, _ = Simulator(base_model("hexapod"), NOMINAL, [Scenario("balance", 1.0)], threads=1).materialise()
+    crossed = np.zeros(18)  # at 0.8 rad, beyond the commanded range, within which no two legs reach each other
+    crossed[JOINTS.index(f"{pair[0]}_coxa")], crossed[JOINTS.index(f"{pair[1]}_coxa")] = -0.8, 0.8
+    found = touching(simulated, crossed)
+    assert frozenset(f"{leg}_femur" for leg in pair) in found
+    assert {name[:2] for parts in found for name in parts} == set(pair)
+    for geom in range(simulated.ngeom):
+        if simulated.geom_contype[geom] == ROBOT:
+            simulated.geom_conaffinity[geom] = GROUND
+    assert not touching(simulated, crossed), "the pair above is there because the robot's parts meet each other"
+
+
+def test_no_command_within_the_joint_range_brings_two_parts_together(model):
+    rng = np.random.default_rng(0)
+    poses = JOINT_LIMIT * rng.uniform(-1.0, 1.0, (1000, 18))
+    poses[::2] = JOINT_LIMIT * np.sign(poses[::2])  # half of them in the corners
+    assert not set().union(*(touching(model, pose) for pose in poses))
 
 
 def test_scenarios_stay_within_table_1():
