@@ -99,6 +99,7 @@ def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node,
     added = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latency"), AddEffect)
     assert added.success and added.model == f"{RIG}-v1", added.message
     assert ModelStore(tmp_path / "store").load(added.model).effects == ("command_latency",)
+    assert "as wide as the prior" in added.message
     refused = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latncy"), AddEffect)
     assert not refused.success and "did you mean 'command_latency'" in refused.message
     loaded = peer.call(names.INFERENCE_LOAD_MODEL, LoadModel.Request(model=f"{RIG}-v0"), LoadModel)
@@ -123,6 +124,10 @@ def test_a_diagnosis_is_an_action_with_feedback(start_graph, peer, node, tmp_pat
     assert len(fractions) > 3 and fractions == sorted(fractions)
     assert any(message.feedback.remaining_s > 0 for message in heard)
     client.destroy()
+    fitted = result.diagnosis.ranking[0].effect  # the best candidates get a full fit
+    added = peer.call(names.ADD_EFFECT, AddEffect.Request(effect=fitted, model=f"{RIG}-v0"), AddEffect)
+    assert added.success and "as the newest diagnosis fitted it" in added.message, added.message
+    assert ModelStore(tmp_path / "store").load(added.model).evidence["kind"] == "diagnosis"
 
 
 def test_a_model_that_does_not_exist_ends_the_node_with_one_line(start_graph, node):

@@ -149,6 +149,8 @@ class InferenceNode(Node):
         kind, stamp = event.pop("event"), self.get_clock().now().to_msg()
         if kind == "progress":
             self._state = f"inferring, {event['stage']}, {number(event['remaining_s']):.0f} s left"
+        elif kind == "warning":
+            self.get_logger().warning(event["message"])
         elif kind == "posterior":
             self._news["posterior"] = event
             self._posterior.publish(posterior_message(event, stamp))
@@ -233,13 +235,22 @@ class InferenceNode(Node):
     def _on_add(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
         try:
             parent = self._store.load(request.model or self._model)
-            response.model = self._store.save(parent.with_effect(request.effect)).version
+            child, how = self._with_effect(parent, request.effect)
+            response.model = self._store.save(child).version
             self._model = response.model if self._model != LATEST else LATEST
             self._wanted, response.success = True, True
-            response.message = f"{response.model} is {parent.version} with {request.effect}"
+            response.message = f"{response.model} is {parent.version} with {request.effect}, {how}"
         except TcbiError as e:
             response.message = str(e)
         return response
+
+    def _with_effect(self, parent: Model, use: str) -> tuple[Model, str]:
+        """The next version as the newest diagnosis that fitted this use says, else with the prior; and which it is."""
+        child = parent.with_effect(use)  # a wrong name is told first
+        found = adopt.latest(self._store.folder("runs"), parent.version, use)
+        if found is None:
+            return child, "its size as wide as the prior: no diagnosis of this version has fitted it"
+        return adopt.adopt(parent, use, found), "as the newest diagnosis fitted it"
 
     # -- diagnosis ------------------------------------------------------------------------------------------------
 
@@ -285,6 +296,8 @@ class InferenceNode(Node):
             handle.publish_feedback(
                 Diagnose.Feedback(stage=event["stage"], fraction=float(event["share"]), remaining_s=remaining)
             )
+        elif kind == "warning":
+            self.get_logger().warning(event["message"])
         elif kind == "diagnosis":
             result.diagnosis = diagnosis_message(event, self.get_clock().now().to_msg())
             result.message = result.diagnosis.statement

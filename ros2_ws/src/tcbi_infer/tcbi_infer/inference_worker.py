@@ -1,6 +1,6 @@
 """The inference node's other half: one job a process, so that simulations never hold up a callback.
 
-Its events, as `worker_process` passes them on: `progress`, `posterior`, `model_error`, `diagnosis`.
+Its events, as `worker_process` passes them on: `warning`, `progress`, `posterior`, `model_error`, `diagnosis`.
 
     python -m tcbi_infer.inference_worker < job.json
 """
@@ -9,14 +9,18 @@ import dataclasses
 import json
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from tcbi_contract.wording import counted
 from tcbi_infer import posterior
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare import compare
 from tcbi_infer.diagnose import diagnose
+from tcbi_infer.diagnose.adopt import remember
+from tcbi_infer.errors import BagError
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
@@ -57,10 +61,31 @@ class Job:
         return Job(**{**data, "bags": tuple(data["bags"]), "held_out": tuple(data["held_out"])})
 
 
+def usable(bags: Sequence[str], emit: Emit, rig: str | None = None) -> list[Measurement]:
+    """Rollouts of the bags that can be read, of one rig; of each other bag a warning: one must not stop the rest.
+
+    Raises:
+      BagError: there is none.
+    """
+    found: dict[str, Measurement] = {}
+    faults: list[str] = []
+    for bag in bags:
+        try:
+            for measurement in read_measurements([bag], rig or next((m.rig for m in found.values()), None)):
+                found.setdefault(measurement.rollout_id, measurement)
+        except BagError as e:
+            faults.append(" ".join(str(e).split()))
+    if bags and not found:
+        raise BagError(f"none of {counted(len(bags), 'bag')} can be used; the last: {faults[-1]}")
+    for fault in faults:
+        emit("warning", message=f"left out: {fault}")
+    return list(found.values())
+
+
 def run_inference(job: Job, emit: Emit) -> None:
     """Infer, save a model version, and judge it and its parent on the rollouts that were held out."""
     store = ModelStore(job.store)
-    measurements = read_measurements(job.bags)
+    measurements = usable(job.bags, emit)
     model = store.load(job.model, measurements[0].rig)
     method = find_method(job.method)
     problem = Problem.of(
@@ -83,10 +108,19 @@ def run_inference(job: Job, emit: Emit) -> None:
     saved = posterior.save(store, result)
     reference = store.load(job.reference, model.rig) if job.reference else model
     emit("posterior", **summary(result, saved, moved(reference, result)))
-    if job.held_out:
-        judged = read_measurements(job.held_out, rig=model.rig)
+    judged = _held_out(job, emit, model.rig)
+    if judged:
         emit("model_error", role="before", **model_error(reference, judged))
         emit("model_error", role="after", **model_error(saved, judged))
+
+
+def _held_out(job: Job, emit: Emit, rig: str) -> list[Measurement]:
+    """What can be judged on; empty where nothing can, which is no reason to lose the posterior."""
+    try:
+        return usable(job.held_out, emit, rig)
+    except BagError as e:
+        emit("warning", message=f"no error is judged: {e}")
+        return []
 
 
 def moved(before: Model, result: Result) -> float:
@@ -139,7 +173,7 @@ def model_error(model: Model, measurements: list[Measurement]) -> dict[str, Any]
 def run_diagnosis(job: Job, emit: Emit) -> None:
     """Diagnose, with the stages as progress."""
     store = ModelStore(job.store)
-    measurements = read_measurements(job.bags)
+    measurements = usable(job.bags, emit)
     model = store.load(job.model, measurements[0].rig)
 
     began = time.monotonic()
@@ -148,7 +182,9 @@ def run_diagnosis(job: Job, emit: Emit) -> None:
         remaining_s = (time.monotonic() - began) * (1 - share) / share if share > 0 else None
         emit("progress", stage=stage, share=share, remaining_s=remaining_s)
 
-    emit("diagnosis", **diagnose(model, measurements, progress=watch).to_json())
+    found = diagnose(model, measurements, progress=watch)
+    remember(found, store.folder("runs"))
+    emit("diagnosis", **found.to_json())
 
 
 def main() -> int:

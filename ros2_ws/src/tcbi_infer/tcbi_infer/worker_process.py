@@ -91,10 +91,12 @@ def serve(run: Callable[[str, Emit], None]) -> int:
         run(sys.stdin.readline(), emit)
         emit("done")
         return 0
-    except TcbiError as e:
+    except (TcbiError, OSError) as e:  # OSError: a full disk, a folder that is gone
+        if isinstance(e, BrokenPipeError):  # who asked for it has died
+            return 1
         emit("failed", message=" ".join(str(e).split()))
         return 1
-    except (KeyboardInterrupt, BrokenPipeError):  # ended, or who asked for it has died
+    except KeyboardInterrupt:  # ended
         return 1
 
 

@@ -1,18 +1,24 @@
 """The inference node's worker and folder, without a graph: what is held out, what is said, what a model error is."""
 
+import dataclasses
+import errno
+import io
 import json
 import os
+import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tcbi_cases import bench_rollouts
 
 from tcbi_infer.bags.measurement_writer import write_measurement
-from tcbi_infer.inference_worker import INFER, Job, moved, run_inference
+from tcbi_infer.errors import BagError
+from tcbi_infer.inference_worker import INFER, Job, moved, run_inference, usable
 from tcbi_infer.rollout_folder import RolloutFolder
-from tcbi_infer.worker_process import Worker, finite
+from tcbi_infer.worker_process import Worker, finite, serve
 from tcbi_sim.model import base_model
 from tcbi_sim.store import ModelStore
 
@@ -70,6 +76,38 @@ def test_a_new_parameter_counts_as_an_unlimited_move() -> None:
         model = base_model("servo_bench").with_effect("command_latency")
 
     assert moved(base_model("servo_bench"), Found()) == float("inf")  # type: ignore[arg-type]
+
+
+def test_a_bag_that_cannot_be_used_is_left_out_with_a_warning(bags: Path, tmp_path: Path) -> None:
+    asked = job(bags, tmp_path)
+    (bags / "torn.mcap").write_bytes(b"no bag at all")
+    events: list[tuple[str, dict]] = []
+    emit = lambda event, **content: events.append((event, content))  # noqa: E731
+    run_inference(dataclasses.replace(asked, bags=(str(bags / "torn.mcap"), *asked.bags)), emit)
+    warnings = [content["message"] for kind, content in events if kind == "warning"]
+    assert len(warnings) == 1 and "torn.mcap" in warnings[0]
+    (found,) = (content for kind, content in events if kind == "posterior")
+    assert len(found["source_rollouts"]) == 4
+    with pytest.raises(BagError, match=r"none of 1 bag can be used; the last: .*torn"):
+        run_inference(dataclasses.replace(asked, bags=(str(bags / "torn.mcap"),)), emit)
+
+
+def test_recordings_of_another_rig_are_refused(bags: Path, tmp_path: Path) -> None:
+    heard: list[str] = []
+    usable(sorted(map(str, bags.iterdir())), lambda event, **content: heard.append(event), rig="servo_bench")
+    with pytest.raises(BagError, match="none of 6 bags can be used"):
+        usable(sorted(map(str, bags.iterdir())), lambda event, **content: heard.append(event), rig="double_pendulum")
+    assert not heard
+
+
+def test_a_full_disk_fails_the_job_in_one_line(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    def full(_: str, __: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "store/runs")
+
+    monkeypatch.setattr(sys, "stdin", io.StringIO("{}\n"))
+    assert serve(full) == 1
+    (line,) = capsys.readouterr().out.splitlines()
+    assert json.loads(line)["event"] == "failed" and "No space left" in line
 
 
 def test_a_fault_of_the_input_arrives_as_one_line(tmp_path: Path) -> None:

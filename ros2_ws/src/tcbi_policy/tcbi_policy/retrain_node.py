@@ -89,7 +89,7 @@ class RetrainNode(Node):
                 self._process,
             )
             self._finish(handle, result, outcome)
-        except TcbiError as error:
+        except (TcbiError, OSError) as error:  # OSError: a full disk
             result.message = str(error)
             self.get_logger().error(result.message)
             handle.abort()

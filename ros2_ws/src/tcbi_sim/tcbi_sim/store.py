@@ -77,24 +77,22 @@ class ModelStore:
         return base_model(name) if number == "0" else self._read(self.models / version)
 
     def save(self, model: Model) -> Model:
-        """Write a model as the next version of its rig and return it under that name."""
-        self.models.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=".new-", dir=self.models))
+        """Write a model as the next version of its rig and return it under that name.
+
+        Raises:
+          StoreError: the folder cannot be written.
+        """
         try:
-            while True:
-                number = 1 + max((_number(v) for v in self.versions(model.rig)), default=0)
-                named = dataclasses.replace(model, version=f"{model.rig}-v{number}", created=model.created or now())
-                self._write(work, named)
-                try:
-                    os.rename(work, self.models / named.version)
-                    return named
-                except OSError as e:
-                    if not (self.models / named.version).exists():
-                        raise StoreError(
-                            f"cannot write {self.models / named.version}: {e.strerror}; free space or choose --store"
-                        ) from e
-        finally:
-            shutil.rmtree(work, ignore_errors=True)
+            self.models.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(prefix=".new-", dir=self.models, ignore_cleanup_errors=True) as work:
+                while True:
+                    number = 1 + max((_number(v) for v in self.versions(model.rig)), default=0)
+                    named = dataclasses.replace(model, version=f"{model.rig}-v{number}", created=model.created or now())
+                    self._write(Path(work), named)
+                    if _moved(Path(work), self.models / named.version):
+                        return named
+        except OSError as e:
+            raise StoreError(f"cannot write {self.models}: {e.strerror}; free space or choose --store") from e
 
     def history(self, rig: str | None = None) -> list[Model]:
         """All versions, oldest first; one that cannot be read is left out with a line in the log."""
@@ -189,6 +187,17 @@ def write_posterior(path: Path, model: Model, seed: int = 0) -> None:
     )
     tree = xr.DataTree.from_dict({"posterior": posterior, "particles": particles})
     tree.to_netcdf(path, engine="h5netcdf")
+
+
+def _moved(work: Path, place: Path) -> bool:
+    """Rename a folder, unless somebody was faster."""
+    try:
+        os.rename(work, place)
+    except OSError:
+        if not place.exists():
+            raise
+        return False
+    return True
 
 
 def _number(version: str) -> int:

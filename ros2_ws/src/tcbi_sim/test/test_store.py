@@ -1,5 +1,6 @@
 """Model versions survive the disk, and damaged ones are refused in words."""
 
+import errno
 import json
 import subprocess
 import sys
@@ -46,6 +47,18 @@ assert set(read) == {read[0]} and "netCDF4" not in sys.modules
 def test_several_threads_read_versions_at_once(store):
     store.save(base_model("hexapod").with_effect("backlash"))
     subprocess.run([sys.executable, "-c", THREADS, str(store.root)], check=True)
+
+
+def test_a_full_disk_is_one_clear_line_and_leaves_the_store_as_it_was(store, monkeypatch):
+    store.save(base_model("hexapod"))
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(store, "_write", full)
+    with pytest.raises(StoreError, match=r"cannot write .*models: No space left on device; free space or choose"):
+        store.save(base_model("hexapod"))
+    assert [p.name for p in store.models.iterdir()] == ["hexapod-v1"]
 
 
 def test_versions_are_numbered_by_rig_and_remembered_by_parent(store):
