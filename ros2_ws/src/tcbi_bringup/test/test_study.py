@@ -1,5 +1,6 @@
 """The study: what is done is kept, what is cut off is done again, and the tables say what the rollouts say."""
 
+import dataclasses
 import functools
 import json
 from pathlib import Path
@@ -69,7 +70,7 @@ def test_fixed_randomisation_is_the_prior_with_all_its_draws_whatever_the_budget
     experiment.do(("collect", "balance", 11))
     found = experiment.do(("infer", "balance", 11, "fixed_dr"))
     assert len(experiment.store.load(found["model"]).particles) == PriorSettings().particles == 1000
-    assert found["simulations"] == 0
+    assert found["simulations"] == 0 and all(g["wall_s"] >= 0 for g in found["generations"])
     others = {c.method for c in CONTESTANTS.values()} - {"prior"}
     assert all(TINY.tasks["balance"].budget(name) == {"particles": 10, "generations": 1} for name in others)
 
@@ -101,7 +102,7 @@ def test_where_there_is_no_difference_none_is_claimed(tmp_path: Path) -> None:
 TRUTH = {"friction": 0.5, "mass": 2.0, "gain": 10.0}  # of the first robot; every further one has 1.5 times as much
 
 
-def inferred(folder: Path, robots: int, wall_s: tuple[float, ...] = ()) -> tables.Findings:
+def inferred(folder: Path, robots: int) -> tables.Findings:
     """Two generations of one method, and the prior: means 20 % too large, then 10 % +- 1 % by robot."""
     folder.mkdir(exist_ok=True)
     plan = Plan({"balance": TINY.tasks["balance"]}, tuple((r, "strong") for r in range(robots)), ("fixed_dr", WINNER))
@@ -120,8 +121,7 @@ def inferred(folder: Path, robots: int, wall_s: tuple[float, ...] = ()) -> table
         ]  # fmt: skip
         notebook.once(("collect", "balance", robot), lambda t=truth: {"truth": dict(zip(TRUTH, t, strict=True))})
         for name, history in (("fixed_dr", runs[:1]), (WINNER, runs)):
-            timed = [g | {"wall_s": s} for g, s in zip(history, wall_s, strict=False)] if wall_s else history
-            found = {"seconds": 6.0, "generations": timed, "estimates": ends}
+            found = {"seconds": 6.0 + robot, "generations": history, "estimates": ends}
             notebook.once(("infer", "balance", robot, name), functools.partial(dict, found))
     return tables.Findings(plan, notebook)
 
@@ -145,6 +145,16 @@ def test_the_reduction_of_variance_has_an_interval_over_robots_and_none_with_two
     assert row["relative_error_low95"] < row["relative_error"] < row["relative_error_high95"]
     row = next(r for r in tables.variance_reduction(few, "balance") if r["name"] == WINNER)
     assert np.isnan(row["variance_reduction_low95"]) and np.isnan(row["relative_error_high95"])
+
+
+def test_the_time_of_a_generation_is_the_median_of_those_that_were_timed(tmp_path: Path) -> None:
+    notebook = Notebook(tmp_path / "study.jsonl")
+    found = tables.Findings(dataclasses.replace(TINY, contestants=("abc", "simopt", WINNER)), notebook)
+    timed = [{"wall_s": 2.0}, {"wall_s": 3.0}, {"wall_s": 40.0}]
+    for name, generations_of in (("abc", timed), ("simopt", [{}, *timed]), (WINNER, [{}, {}])):
+        result = {"seconds": 5.0, "generations": generations_of}  # what the last of several runs took
+        notebook.once(("infer", "balance", 11, name), functools.partial(dict, result))
+    assert [row["seconds"] for row in tables.seconds(found, "balance")] == [3.0, 3.0, 2.5]
 
 
 def test_the_page_draws_a_band_over_three_robots_and_each_robot_where_there_are_fewer(tmp_path: Path) -> None:

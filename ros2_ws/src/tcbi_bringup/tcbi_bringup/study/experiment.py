@@ -277,4 +277,5 @@ def _attitude(m: Measurement) -> np.ndarray:
 
 
 def _moments(generation: dict[str, Any]) -> dict[str, Any]:
-    return {key: generation[key] for key in ("generation", "ess", "mean", "variance", "variance_ratio")}
+    kept = ("generation", "ess", "mean", "variance", "variance_ratio", "wall_s")
+    return {key: generation[key] for key in kept if key in generation}

@@ -5,6 +5,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from tcbi_bringup.study import tables
 from tcbi_bringup.study.plan import LABELS, WINNER
@@ -27,6 +28,7 @@ WELCH = (
 )
 BAND = "Mean over robots, with its 95 % interval as a band; with fewer than three, a thin line for each robot."
 NONE_OF_FEW = "Intervals are 95 %, from resampling robots: with fewer than three robots there is none."
+CAPTION_OF_TIME = "Figure 11: wall time of a generation. Median of each robot's generations, mean over robots, 95 %"
 WIDTH = (
     "A smaller variance alone is no merit: a method may be narrow and wrong, which the error and the share of "
     "intervals that hold the truth tell."
@@ -141,7 +143,7 @@ def _inference(report: Report, findings: Findings, task: str, found: dict[str, A
             ("variance_ratio", f"variance of {parameter} / prior's", f"variance of {parameter}"),
         ):
             shown.append(Figure(generations(mine, key, axis), f"Figures 6 to 8: {what}, by generation. {BAND}"))
-    shown.append(Figure(bars_of_time(found["seconds"]), "Figure 11: wall time of a generation", True))
+    shown.append(Figure(bars_of_time(found["seconds"]), CAPTION_OF_TIME, True))
     table = Table(head, rows, NONE_OF_FEW)
     report.add(Section(f"{task}: inference (Table 3)", text=[WIDTH], table=table, figures=shown))
 
@@ -175,6 +177,7 @@ def generations(rows: tables.Rows, key: str, axis: str) -> str:
             else:
                 axes.plot(at, [r[f"{key}_each"] for r in mine], color=color, alpha=0.4, lw=0.5)
             axes.plot(at, mean, "o-", ms=3, lw=1.2, color=color, label=LABELS[name])
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("generation")
         axes.set_ylabel(axis)
         axes.legend(fontsize=6)
@@ -213,7 +216,9 @@ def bars_of_time(rows: tables.Rows) -> str:
     """Wall time of a generation of each method."""
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(0.6 + 0.3 * len(rows), WIDE)
-        axes.barh(np.arange(len(rows)), [r["seconds"] for r in rows], color=COLORS[0], height=0.6)
+        length, low, high = (np.array([r[f"seconds{k}"] for r in rows]) for k in ("", "_low95", "_high95"))
+        around = np.fmax([length - low, high - length], 0)  # 0 for NaN: fewer than three robots have no interval
+        axes.barh(np.arange(len(rows)), length, xerr=around, color=COLORS[0], ecolor=INK, height=0.6)
         axes.set_yticks(np.arange(len(rows)), [r["label"] for r in rows])
         axes.invert_yaxis()
         axes.set_xlabel("wall time of a generation / s")
