@@ -118,6 +118,12 @@ def test_the_false_alarm_rate_has_its_own_interval():
     assert "15 of 300" in alarms.statement and "5.0 % (90 % interval 3.1 % to 7.6 %)" in alarms.statement
 
 
+def test_the_false_alarm_rate_is_not_five_percent_by_construction():
+    maxima = 2.0 + np.random.default_rng(0).standard_t(3, (20, 300))
+    passed = [round(300 * (false_alarms(dataclasses.replace(null(0, 8), maxima=m)).rate or 0.0)) for m in maxima]
+    assert len(set(passed)) > 3 and np.mean(passed) == pytest.approx(15, abs=3)
+
+
 def test_no_alarm_seen_is_no_rate_of_zero():
     alarms = false_alarms(null(0, 6))
     assert alarms.rate == 0 and alarms.low90 == 0 and alarms.high90 == pytest.approx(0.00994, abs=1e-4)

@@ -42,6 +42,11 @@ class Null:
         return Null(np.inf, np.zeros(0), 0, Targets(np.zeros(0), np.zeros(0)), np.zeros(0))
 
 
+def threshold_of(maxima: np.ndarray, kinds: int) -> float:
+    """The 95 % point of the largest statistics of null data sets, and at least that of a single t test."""
+    return max(float(np.quantile(maxima, LEVEL)), paired.limit(kinds, LEVEL))
+
+
 def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
     """(D, S, T, C) noise of the sets' means, resampled from differences between replicates where there are any."""
     replay = problem.replay
@@ -103,5 +108,4 @@ def simulate_null(
     values = np.array(maxima)
     kinds_count = len(screen.folds)
     targets = Targets(*(np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in ("nr", "kr")))
-    threshold = max(float(np.quantile(values, LEVEL)), paired.limit(kinds_count, LEVEL))
-    return Null(threshold, values, kinds_count, targets, np.concatenate(scales))
+    return Null(threshold_of(values, kinds_count), values, kinds_count, targets, np.concatenate(scales))
