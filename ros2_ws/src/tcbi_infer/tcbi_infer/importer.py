@@ -22,6 +22,7 @@ from tcbi_infer.bags.streams import ordered
 from tcbi_infer.errors import MappingError
 from tcbi_infer.mapping import Mapping, Signal
 from tcbi_infer.pieces import pieces
+from tcbi_infer.readings import Readings, within
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 
 Table = dict[str, list[Any]]
@@ -65,6 +66,7 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
         time=time,
         joint_position=rows,
         notes=tuple(notes),
+        readings=within(_readings(tables, mapping, zero), 0.0, float(time[-1])),
     )
 
 
@@ -247,6 +249,18 @@ def _torque_on(tables: _Tables, mapping: Mapping, count: int) -> np.ndarray:
     if len(values) != count:
         raise MappingError(f"{tables.log}: {len(values)} torque flags for {count} commands; they must be in one file")
     return values > 0.5
+
+
+def _readings(tables: _Tables, mapping: Mapping, zero: int) -> Readings:
+    """Temperatures and voltages on the rollout's clock; rows without a number are no readings."""
+    found: Readings = {}
+    for key, signal in mapping.readings:
+        values = _numbers(tables, signal, signal.columns[0]) * np.asarray(signal.scale)
+        stamp = _stamps(tables, signal, mapping)
+        there = np.isfinite(values)
+        order = ordered(key, stamp[there], []) if there.any() else np.empty(0, int)
+        found[key] = (stamp[there][order] - zero) / 1e9, values[there][order]
+    return found
 
 
 def _constants(mapping: Mapping, tables: _Tables) -> tuple[tuple[str, float], ...]:

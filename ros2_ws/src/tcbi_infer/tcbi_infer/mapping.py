@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from tcbi_infer.errors import MappingError
+from tcbi_infer.readings import QUANTITIES, is_reading
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {"rad": 1.0, "deg": math.pi / 180, "turn": 2 * math.pi, "N m": 1.0}
 TOP = {"rig", "joints", "task", "source", "policy", "entries", "window", "constants"}
-TOP |= {"time", "position", "command", "torque_on"}
+TOP |= {"time", "position", "command", "torque_on", "readings"}
+READING = {"column", "file", "time", "scale"}
 SIGNAL = {"column", "columns", "file", "time", "unit", "scale", "offset", "list", "pick"}
 
 
@@ -48,6 +50,7 @@ class Mapping:
     policy_id: str = ""
     window: float = 0.0  # s, of the pieces that a log is cut into; 0: it stays whole
     constants: tuple[tuple[str, float | str], ...] = field(default=())
+    readings: tuple[tuple[str, Signal], ...] = ()  # temperature or voltage, by the name of the reading
 
     def is_log(self, path: Path) -> bool:
         """Whether this path looks like a log of this mapping."""
@@ -129,6 +132,7 @@ class _Checker:
             policy_id=self._text("policy", ""),
             window=self._not_negative("window", self.content),
             constants=self._constants(),
+            readings=self._readings(joints),
         )
         if self.faults:
             raise MappingError(f"{self.name}: {'; '.join(self.faults)}")
@@ -199,3 +203,24 @@ class _Checker:
         wrong = {k: v for k, v in section.items() if not isinstance(v, (int, float, str)) or isinstance(v, bool)}
         self.faults += [f"constants.{k}: got {v!r}, allowed is a number or a key of the log" for k, v in wrong.items()]
         return tuple((k, v) for k, v in section.items() if k not in wrong)
+
+    def _readings(self, joints: list[str]) -> tuple[tuple[str, Signal], ...]:
+        section = self.content.get("readings", {})
+        allowed = ", ".join(q.key for q in QUANTITIES)
+        if not isinstance(section, dict):
+            self.faults.append(f"readings: got {section!r}, allowed is a section with {allowed}")
+            return ()
+        found = []
+        for key, value in section.items():
+            where = {"column": value} if isinstance(value, str) else value
+            if not is_reading(key, joints):
+                self.faults.append(f"readings.{key}: allowed are {allowed}, each also with /<joint> behind it")
+            elif (
+                not isinstance(where, dict) or set(where) - {"column", "file", "time", "scale"} or "column" not in where
+            ):
+                self.faults.append(f"readings.{key}: got {value!r}, allowed is a column, or column, file, time, scale")
+            else:
+                scale = self._factor(where.get("scale", 1.0), f"readings.{key}.scale", 1)
+                file, time = str(where.get("file", "")), str(where.get("time", ""))
+                found.append((key, Signal((str(where["column"]),), file, time, scale=scale)))
+        return tuple(found)

@@ -8,6 +8,7 @@ import dataclasses
 
 import numpy as np
 
+from tcbi_infer.readings import shifted, within
 from tcbi_sim.measurement import Commands, Measurement
 
 LEAST = 0.5  # of a window: a shorter rest is left out
@@ -40,6 +41,7 @@ def _piece(m: Measurement, begin: float, end: float, number: int) -> Measurement
         commands=_commands(m.commands, zero, scenario.duration),
         time=np.round(m.time[inside] - zero, 9),
         joint_position=m.joint_position[inside],
+        readings=within(shifted(m.readings, -zero), 0.0, scenario.duration),
     )
 
 

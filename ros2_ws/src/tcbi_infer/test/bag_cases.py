@@ -81,6 +81,8 @@ def differences(a: Measurement, b: Measurement) -> list[str]:
 
 
 def _same(x: object, y: object) -> bool:
+    if isinstance(x, dict) and isinstance(y, dict):
+        return x.keys() == y.keys() and all(_same(a, b) for k in x for a, b in zip(x[k], y[k], strict=True))
     if isinstance(x, np.ndarray) or isinstance(y, np.ndarray):
         return x is not None and y is not None and np.array_equal(np.asarray(x), np.asarray(y))
     if isinstance(x, float) and isinstance(y, float) and math.isnan(x):

@@ -6,7 +6,8 @@ What was not measured is None, never filled in.
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -93,6 +94,8 @@ class Measurement:
     distance: float = math.nan  # m, travelled forward
     notes: tuple[str, ...] = ()  # what a reader found missing or repaired
     gaps: tuple[tuple[str, float, float], ...] = ()  # field, from, to (s): only interpolated there, not measured
+    readings: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    # ^ slow ones beside the samples, as `voltage_V` or `temperature_C/<joint>` -> (N,) s since BEGIN, (N,) values
 
     def resampled(self, time: np.ndarray) -> "Measurement":
         """The same rollout at other times: linear between samples, contacts the last one seen.

@@ -142,6 +142,19 @@ def joint_command(
     )
 
 
+def diagnostic(nanoseconds: int, values: Sequence[tuple[str, float]]) -> Any:
+    """Readings as a driver tells them: one status, a key and a number each."""
+    pair = _type("diagnostic_msgs/msg/KeyValue")
+    status = _type("diagnostic_msgs/msg/DiagnosticStatus")(
+        level=0,
+        name="readings",
+        message="as recorded",
+        hardware_id="",
+        values=[pair(key=key, value=repr(float(value))) for key, value in values],
+    )
+    return _type(schemas.MESSAGES[names.DIAGNOSTICS])(header=header(nanoseconds, ""), status=[status])
+
+
 def nanoseconds(time: np.ndarray, start: int) -> list[int]:
     """Seconds of a rollout's clock as stamps, `start` being 0 s."""
     return [start + int(t) for t in np.rint(np.asarray(time, float) * 1e9)]
@@ -176,5 +189,11 @@ def _rows(m: Measurement, start: int, torque_commands: bool) -> Iterator[tuple[s
             yield names.FOOT_CONTACTS, time, foot_contacts(time, m.foot_names, m.contact[i])
         if m.position is not None:
             yield names.TRACKER_POSE, time, tracker_pose(time, m.position[i])
+    read: dict[int, list[tuple[str, float]]] = {}
+    for key, (when, values) in m.readings.items():
+        for time, value in zip(nanoseconds(when, start), values, strict=True):
+            read.setdefault(time, []).append((key, value))
+    for time, pairs in read.items():
+        yield names.DIAGNOSTICS, time, diagnostic(time, pairs)
     end = max([start + round(m.scenario.duration * 1e9), *times[-1:]])
     yield names.ROLLOUT_EVENT, end, event(end, END, *common, distance=m.distance)

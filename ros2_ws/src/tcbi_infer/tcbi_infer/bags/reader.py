@@ -20,6 +20,7 @@ from tcbi_contract.names import FOOT_CONTACTS, IMU, JOINT_STATES, JOINTS, LEGS, 
 from tcbi_contract.wording import counted
 from tcbi_infer.bags.commands import late_commands, read_commands
 from tcbi_infer.bags.files import find_bags
+from tcbi_infer.bags.readings import read_readings
 from tcbi_infer.bags.rollouts import Span, lacking, spans
 from tcbi_infer.bags.streams import Recording, Stream, load, stream
 from tcbi_infer.errors import BagError
@@ -111,6 +112,7 @@ def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Me
         distance=span.distance,
         notes=tuple(dict.fromkeys(notes)),
         gaps=tuple(gaps),
+        readings=read_readings(recording, joint_names, span.begin, int(joints.stamp[-1])),
     )
 
 

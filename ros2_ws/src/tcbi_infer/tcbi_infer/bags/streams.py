@@ -70,7 +70,11 @@ def load(bag: Path, namespace: str | None = None) -> Recording:
     recording.namespace = _namespace(bag, kept, namespace)
     for topic, messages in kept.items():
         name = relative(topic, types[topic])
-        if name is not None and name != names.DIAGNOSTICS and prefix(topic, name) == recording.namespace:
+        if name is None or prefix(topic, name) != recording.namespace:
+            continue
+        if name == names.DIAGNOSTICS:
+            recording.records[name] = _optional(name, messages)
+        else:
             recording.records[name] = _records(name, messages, recording.notes)
     return recording
 
@@ -142,6 +146,14 @@ def _records(name: str, messages: list[Message], notes: list[str]) -> list[Recor
             f"{name}: {unstamped} of {len(messages)} messages bear no stamp; the time they were recorded at is used"
         )
     return records
+
+
+def _optional(name: str, messages: list[Message]) -> list[Record]:
+    """What a recording is as good without: nothing is said of messages that cannot be read."""
+    try:
+        return _records(name, messages, [])
+    except BagError:
+        return []
 
 
 def _decoded(channel: Channel, data: bytes) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tcbi_infer.compare.replicates import find_replicates
 from tcbi_infer.compare.signals import Layout, reference
+from tcbi_infer.readings import shifted
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.rigs import load_rig, rig_names
 
@@ -184,9 +185,10 @@ def aligned(measurements: Sequence[Measurement], followings: Sequence[Following]
 
 
 def _shifted(m: Measurement, by: float) -> Measurement:
-    return m if not by else dataclasses.replace(
-        m, time=m.time + by, gaps=tuple((name, begin + by, end + by) for name, begin, end in m.gaps)
-    )  # fmt: skip
+    if not by:
+        return m
+    gaps = tuple((name, begin + by, end + by) for name, begin, end in m.gaps)
+    return dataclasses.replace(m, time=m.time + by, gaps=gaps, readings=shifted(m.readings, by))
 
 
 def _odd_repeats(repeats: Sequence[Measurement], usual: float) -> dict[int, float]:

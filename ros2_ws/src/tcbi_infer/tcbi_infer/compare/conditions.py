@@ -1,17 +1,19 @@
 """Under what a joint errs: phases of its motion, and conditions that may make an error grow.
 
 Phases are masks: stance and swing (where the rig has feet), just after a reversal of direction, standing still, moving.
-Conditions are numbers: load, speed, command size, slope, time since start, and whatever the recording says of itself
-as a constant that differs between rollouts (a supply voltage, a temperature, a gain).
+Conditions are numbers: load, speed, command size, slope, time since start, temperature and voltage where they were
+read, and whatever the recording says of itself as a constant that differs between rollouts (a gain, a supply voltage).
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from tcbi_infer.compare.kinds import UNDER_LOAD
 from tcbi_infer.compare.signals import DEGREE, JOINT, Layout, reference
+from tcbi_infer.readings import QUANTITIES, Quantity, on_joints
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.rig import Rig
 
@@ -20,6 +22,7 @@ STILL, MOVING = "while standing still", "while moving"
 REVERSAL_S = 0.15  # s after a change of direction
 SLOW = 0.05  # rad/s below which a joint counts as standing still
 LARGE = 2.0 / 3.0  # quantile from which a condition counts as high
+NEVER = 1e-9  # range of a condition that does not vary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,18 +32,21 @@ class Condition:
     Attributes:
       values: (R, T, J).
       high: the words for its upper third in a sentence.
+      reading: which quantity was read, if one was: either end of it may be what errs, and the words tell the value.
     """
 
     name: str
     unit: str
     values: np.ndarray
-    high: str
+    high: str = ""
+    reading: Quantity | None = None
 
     @property
     def varies(self) -> bool:
         """Whether there is anything to set the error against."""
         known = self.values[np.isfinite(self.values)]
-        return bool(len(known)) and float(np.ptp(known)) > 1e-9
+        least = self.reading.least - NEVER if self.reading else NEVER
+        return bool(len(known)) and float(np.ptp(known)) > least
 
     def upper(self) -> np.ndarray:
         """(R, T, J) bool: the upper third, by value."""
@@ -48,6 +54,20 @@ class Condition:
         edge = np.quantile(known, LARGE)
         edge = edge if edge > known.min() else known.min() + 0.5 * np.ptp(known)
         return self.values >= edge
+
+    def parts(self) -> dict[str, np.ndarray]:
+        """(R, T, J) bool by the words for them: the upper third; of what was read the lower third as well."""
+        if self.reading is None:
+            return {self.high: self.upper()}
+        known, digits = self.values[np.isfinite(self.values)], self.reading.digits
+        low, high = (float(np.quantile(known, q)) for q in (1 - LARGE, LARGE))
+        high = min(high, float(known.max())) if high > known.min() else float(known.min() + 0.5 * np.ptp(known))
+        low = low if low < known.max() else float(known.min() + 0.5 * np.ptp(known))
+        low, high = math.floor(low * 10**digits) / 10**digits, math.ceil(high * 10**digits) / 10**digits
+        return {
+            f"at {high:.{digits}f} {self.unit} and above": self.values >= high - NEVER,
+            f"at {low:.{digits}f} {self.unit} and below": self.values <= low + NEVER,
+        }
 
 
 def phases(rig: Rig, measurement: Measurement, time: np.ndarray) -> dict[str, np.ndarray]:
@@ -119,7 +139,7 @@ def conditions(
         Condition("slope", "deg", _wide(slope, shape), "on the steeper slopes"),
         Condition("time since start", "s", np.broadcast_to(time[None, :, None], shape), "late in the rollouts"),
     ]
-    return [c for c in (*found, *_recorded(measurements, shape)) if c.varies]
+    return [c for c in (*found, *_read(measurements, time), *_recorded(measurements, shape)) if c.varies]
 
 
 def _wide(each: Sequence[float], shape: tuple[int, ...]) -> np.ndarray:
@@ -135,6 +155,15 @@ def _command_sizes(measurements: Sequence[Measurement], time: np.ndarray) -> np.
         row = np.searchsorted(m.commands.time, time + 1e-9, side="right") - 1
         sizes.append(np.where(row[:, None] < 0, 0.0, step[np.maximum(row, 0)]))
     return np.stack(sizes)
+
+
+def _read(measurements: Sequence[Measurement], time: np.ndarray) -> list[Condition]:
+    """What the recordings read beside the samples; NaN where they did not."""
+    return [
+        Condition(q.name, q.unit, np.stack([on_joints(m, q, time) for m in measurements]), reading=q)
+        for q in QUANTITIES
+        if any(m.readings for m in measurements)
+    ]
 
 
 def _recorded(measurements: Sequence[Measurement], shape: tuple[int, ...]) -> list[Condition]:

@@ -19,6 +19,8 @@ FEWEST = 25  # samples that a cell needs
 LEAST_SCORE = 0.02
 LEAST_OVER, LEAST_BEYOND = 1.5, 1.15  # times the noise floor, times the error elsewhere, that are worth a sentence
 MOMENT_S = 1.5  # s, length of a moment
+AS_GOOD, SAME_SAMPLES = 0.8, 0.6  # of a cell's score, and shared by both, from which another cell may be meant as well
+WHOLE = 0.95  # share of a rollout's samples that counts as all of it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,10 +118,13 @@ class _Joints:
         each = [phases(rig, m, time) for m in measurements]
         none = np.zeros(self.error.shape[1:], bool)
         self.masks = {"": np.ones(self.error.shape, bool)}
+        self.read: set[str] = set()  # phases by a reading, which drifts with much else
         for name in dict.fromkeys(name for masks in each for name in masks):
             self.masks[name] = np.stack([masks.get(name, none) for masks in each])
         for condition in conditions(layout, measurements, time, predicted):
-            self.masks[condition.high] = condition.upper()
+            parts = condition.parts()
+            self.masks |= parts
+            self.read |= set(parts) if condition.reading else set()
         self.count = {name: (mask & self.valid).sum(axis=(0, 1)) for name, mask in self.masks.items()}
 
     def findings(self, most: int) -> Iterator[Finding]:
@@ -135,7 +140,8 @@ class _Joints:
             seen.add(best)
             finding = self._finding(*best, scores[best], left, told)
             if finding is not None:
-                yield finding
+                doubt = self._doubt(best, scores)
+                yield dataclasses.replace(finding, statement=finding.statement + doubt)
                 found += 1
                 told |= self._cell(*best)
                 left[told] = 0.0
@@ -149,6 +155,27 @@ class _Joints:
                 count = int(self.count[phase][index].sum())
                 if (label or phase) and FEWEST <= count <= samples - FEWEST:
                     yield (label, phase), float(here[index].sum() / total - count / samples * rest)
+
+    def _doubt(self, best: tuple[str, str], scores: dict[tuple[str, str], float]) -> str:
+        """What else may be meant where a reading is concerned: nearly the same samples, which err nearly as much."""
+        here, doubts = self._cell(*best), []
+        for cell in sorted(scores, key=lambda cell: -scores[cell]):
+            if cell[1] == best[1] or not {cell[1], best[1]} & self.read or scores[cell] < AS_GOOD * scores[best]:
+                continue
+            there = self._cell(*cell)
+            if np.sum(here & there) >= SAME_SAMPLES * np.sum(here | there):
+                names = tuple(self.names[j] for j in self.cells[cell[0]])
+                other = cell[1] if cell[0] == best[0] and cell[1] else f"{_who(cell[0], names)} {cell[1]}".strip()
+                doubts.append(
+                    f" Nearly the same samples ({other}) err as much: these recordings cannot tell which is behind it."
+                )
+                break
+        if best[1] in self.read:
+            total = np.maximum(self.valid.sum(axis=(1, 2)), 1)
+            share = (self.masks[best[1]] & self.valid).sum(axis=(1, 2)) / total
+            if np.all((share > WHOLE) | (share < 1 - WHOLE)):
+                doubts.append(" These are whole rollouts: whatever else differed between them may be behind it.")
+        return "".join(doubts)
 
     def _cell(self, label: str, phase: str) -> np.ndarray:
         """(R, T, J) bool."""
