@@ -31,8 +31,13 @@ NODES = {
 }
 HEAD = """# Parameters of the nodes
 
-All are read at the start and refused there in one line if unknown or out of range (exit status 1). Set one with
+All are read at the start and refused there in one line if unknown or out of range. Set one with
 `./tcbi run PACKAGE NODE --ros-args -p name:=value`, or with `ros2 run`. Besides these every node takes `use_sim_time`.
+
+A node ends with exit status 0 on Ctrl-C, with 1 and one line where a user can mend it (a wrong parameter, a device
+that is not there), with 70 and a traceback where it crashes. `./tcbi up` starts a failed node again, after pauses
+that double, and gives it up after five failures in a row, or after two with status 1.
+
 This page is written by `docs/write_parameters.py`; a test holds it to the code.
 """
 

@@ -4,14 +4,17 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
+from tcbi_bringup import launcher
 from tcbi_bringup.graph_monitor import GraphMonitor
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract.names import ROBOT_DESCRIPTION
+from tcbi_contract.running import CRASHED
 
 pytestmark = pytest.mark.graph
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -40,6 +43,70 @@ def test_a_wrong_parameter_ends_a_node_with_one_line_and_status_1(start_graph):
     graph = start_graph(description(parameters={"rgi": "hexapod"}), wait=False)
     assert graph.wait_for_exit("description_node", 40.0) == 1
     assert "unknown parameter 'rgi'" in graph.tail("description_node")
+
+
+CRASHING = """
+import sys
+from rclpy.node import Node
+from tcbi_contract.errors import TcbiError
+from tcbi_contract.running import run
+
+class Crashing(Node):
+    def __init__(self):
+        super().__init__("crashing")
+        if "start" in sys.argv:
+            raise ValueError("broken at the start")
+        self.create_timer(0.05, self.work)
+
+    def work(self):
+        if "callback" in sys.argv:
+            raise KeyError("broken later")
+        raise TcbiError("no such port")
+
+    def destroy_node(self):
+        if "twice" in sys.argv:
+            raise OSError("broken at the end")
+        super().destroy_node()
+
+raise SystemExit(run("crashing", Crashing, [], threads=2 if "threads" in sys.argv else 1))
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "status", "last_words"),
+    [
+        ("start", CRASHED, "ValueError: broken at the start"),
+        ("callback", CRASHED, "KeyError: 'broken later'"),
+        ("callback threads", CRASHED, "KeyError: 'broken later'"),
+        ("callback twice", CRASHED, "OSError: broken at the end"),
+        ("set-up", 1, "crashing: no such port"),
+        ("set-up twice", 1, "OSError: broken at the end"),
+    ],
+)
+def test_a_node_that_crashes_shows_its_traceback_and_is_told_from_one_set_up_wrongly(domain, how, status, last_words):
+    ended = subprocess.run(
+        [sys.executable, "-c", CRASHING, *how.split()], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ended.returncode == status
+    assert ended.stderr.strip().splitlines()[-1] == last_words
+    assert ("Traceback" in ended.stderr) == (how != "set-up")
+
+
+@dataclass(frozen=True)
+class Crashing(NodeProcess):
+    """The node above."""
+
+    def command(self) -> list[str]:
+        return [sys.executable, "-c", CRASHING, *self.arguments]
+
+
+def test_a_node_that_crashes_is_started_again_more_often_than_one_set_up_wrongly(start_graph, peer, monkeypatch):
+    monkeypatch.setattr(launcher, "FIRST_PAUSE_S", 0.01)
+    crashing = Crashing("", "crashing", arguments=("callback",), ros=False)
+    graph = start_graph(crashing, restart=True)
+    peer.wait_until(lambda: graph.status()[0].state == "given up", "giving up")
+    assert graph.status()[0].restarts == launcher.TRIES - 1
+    assert graph.status()[0].reason.endswith("exit status 70: KeyError: 'broken later'")
 
 
 def test_the_monitor_counts_rates_and_ages(domain, peer):

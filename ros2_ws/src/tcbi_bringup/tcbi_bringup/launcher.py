@@ -41,7 +41,7 @@ REAP_S = 2.0  # for a killed process to be seen dead
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 HEALTHY_AFTER_S = 60.0  # a process that ran this long starts its count of failures anew; loaded machines start slowly
 TRIES = 5  # failures in a row before a process is given up
-CONFIGURATION_TRIES = 2  # the same for exit status 1: bad configuration, or a device that is not there
+CONFIGURATION_TRIES = 2  # the same for exit status 1: bad configuration or an absent device; no crash ends with it
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ def test_without_restart_a_failure_is_reported_with_its_last_words(tmp_path):
         assert "\n" not in str(told.value)
 
 
-@pytest.mark.parametrize(("code", "tries"), [("exit(1)", launcher.CONFIGURATION_TRIES), ("exit(3)", launcher.TRIES)])
+@pytest.mark.parametrize(("code", "tries"), [("exit(1)", launcher.CONFIGURATION_TRIES), ("exit(70)", launcher.TRIES)])
 def test_what_fails_at_once_again_and_again_is_given_up(tmp_path, monkeypatch, code, tries):
     monkeypatch.setattr(launcher, "FIRST_PAUSE_S", 0.01)
     with Graph([program("one", code)], log_dir=tmp_path, restart=True) as graph:

@@ -1,7 +1,10 @@
-"""How every node process starts and ends: 0 on Ctrl-C or SIGTERM, 1 with one line when it is set up wrongly; needs ROS.
+"""How every node process starts and ends; needs ROS.
 
 def main(args=None) -> int:
     return run("sim_node", SimNode, args)
+
+Exit status: 0 on Ctrl-C or SIGTERM; 1 with one line where a user can mend it (set up wrongly, a device that is not
+there); CRASHED with a traceback on any other exception, so that the launcher tells a crash from a wrong set-up.
 
 rclpy's own handlers shut the context down from another thread, in the midst of what the executor does, which at times
 ends in one of rclpy's errors, or never. Here a signal only ends the spinning: the callback in hand is finished,
@@ -14,6 +17,7 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Sequence
 
 import rclpy
@@ -26,6 +30,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from tcbi_contract.errors import TcbiError
 
+CRASHED = os.EX_SOFTWARE  # 70
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 ENDING_S = 10.0  # what still runs so long after a signal tells on stderr where it hangs, and ends with status 1
 
@@ -43,22 +48,41 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
       The exit status.
     """
     told = Told()
-    node = None
-    try:
+    nodes: list[Node] = []
+
+    def spin() -> None:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
-        node = make()
+        nodes.append(make())
         executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(num_threads=threads)
-        executor.add_node(node)
-        told.interrupts(node)
+        executor.add_node(nodes[0])
+        told.interrupts(nodes[0])
         while not told.to_end:
             executor.spin_once()
+
+    def end() -> None:
+        try:
+            for node in nodes:
+                node.destroy_node()
+        finally:
+            rclpy.try_shutdown()
+
+    try:
+        status = guarded(name, spin)
+    finally:  # also of SystemExit
+        ended = guarded(name, end)
+    return status or ended
+
+
+def guarded(name: str, part: Callable[[], None]) -> int:
+    """Do a part of a process; returns the exit status, having said on stderr what went wrong."""
+    try:
+        part()
     except (TcbiError, InvalidParameterException, InvalidParameterValueException) as error:
         sys.stderr.write(f"{name}: {' '.join(str(error).split())}\n")
         return 1
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+    except Exception:  # noqa: BLE001 - nothing is hidden: the process ends with its traceback
+        traceback.print_exc()
+        return CRASHED
     return 0
 
 

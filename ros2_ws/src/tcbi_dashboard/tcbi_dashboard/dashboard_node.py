@@ -1,5 +1,6 @@
 """The page as a node of the graph: it listens, and asks for what the page's buttons say."""
 
+import contextlib
 import logging
 import threading
 from collections.abc import Callable, Sequence
@@ -19,9 +20,9 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from tcbi_contract import names
-from tcbi_contract.errors import TcbiError
 from tcbi_contract.messages import LATCHED_QOS
 from tcbi_contract.parameters import declare, parameter
+from tcbi_contract.running import guarded
 from tcbi_dashboard.access import Access
 from tcbi_dashboard.live import Live, Topic
 from tcbi_dashboard.torque import RELEASED, RESET, STANDING, STOPPED, Torque, in_page_words
@@ -187,14 +188,19 @@ def _spin(node: Node, live: Live) -> None:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point of the node as a process: the server has the main thread, and ends on Ctrl-C."""
-    import sys
+    live = Live()
+    try:
+        return guarded("dashboard_node", lambda: _serve(live, args))
+    finally:
+        live.close()
 
+
+def _serve(live: Live, args: Sequence[str] | None) -> None:
     from tcbi_dashboard.server import serve
     from tcbi_dashboard.workbench import Workbench
     from tcbi_sim.store import ModelStore
 
-    live = Live()
-    try:
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.init(args=list(args) if args is not None else None, signal_handler_options=rclpy.SignalHandlerOptions.NO)
         node = DashboardNode(live)
         values = declare(node, DashboardParameters)
@@ -204,11 +210,3 @@ def main(args: Sequence[str] | None = None) -> int:
         folders = [store.root / "rollouts", *(Path(f).expanduser() for f in values.rollouts.split(":") if f)]
         say = node.get_logger().info
         serve(Workbench(store, folders, access), live, started=lambda: say(f"open {' or '.join(access.addresses)}"))
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except TcbiError as error:
-        sys.stderr.write(f"dashboard_node: {' '.join(str(error).split())}\n")
-        return 1
-    finally:
-        live.close()
-    return 0
