@@ -35,10 +35,10 @@ def test_a_study_goes_on_where_it_was_and_does_nothing_twice(tmp_path: Path) -> 
     assert [json.loads(line)["key"][-1] for line in (tmp_path / "study.jsonl").read_text().splitlines()] == [1, 2]
 
 
-def test_every_contestant_infers_by_a_method_that_there_is_and_needs_only_earlier_pieces(tmp_path: Path) -> None:
+def test_every_contestant_infers_by_a_method_that_there_is_and_needs_only_earlier_pieces() -> None:
     assert {c.method for c in CONTESTANTS.values()} <= set(METHODS)
     for name in PRESETS:
-        pieces = list(Experiment(chosen(name), tmp_path / name, Laboratory(1)).pieces())
+        pieces = list(chosen(name).pieces())
         assert len(set(pieces)) == len(pieces)
         for i, (stage, *rest) in enumerate(pieces):
             if stage == "infer":
@@ -157,6 +157,23 @@ def test_the_time_of_a_generation_is_the_median_of_those_that_were_timed(tmp_pat
     assert [row["seconds"] for row in tables.seconds(found, "balance")] == [3.0, 3.0, 2.5]
 
 
+def test_the_report_says_what_every_stage_took_and_the_total_of_this_plan(tmp_path: Path) -> None:
+    pieces = list(TINY.pieces())
+    lines = [{"key": key, "result": {"wall_s": 60.0 * (i + 1)}} for i, key in enumerate(pieces[:-1])]
+    lines.append({"key": ("train", "balance", 99, WINNER), "result": {"wall_s": 1e6}})  # a robot of another plan
+    (tmp_path / "study.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    findings = tables.Findings(TINY, Notebook(tmp_path / "study.jsonl"))
+    rows = {row["stage"]: row for row in tables.times(findings)}
+    assert list(rows) == ["collect", "deploy", "infer", "train", "noise"]
+    for stage, row in rows.items():
+        mine = [i for i, piece in enumerate(pieces) if piece[0] == stage]
+        assert row["pieces"] == len(mine) and row["done"] == len(mine) - (stage == "noise")
+        assert row["wall_s"] == 60.0 * sum(i + 1 for i in mine if i + 1 < len(pieces))
+    done = len(pieces) - 1
+    total = f"{done} of {done + 1} pieces of work are done; together they took {done * (done + 1) / 2:.1f} minutes"
+    assert total in tables.took(list(rows.values()))
+
+
 def test_the_page_draws_a_band_over_three_robots_and_each_robot_where_there_are_fewer(tmp_path: Path) -> None:
     for robots, bands in ((4, True), (2, False)):
         findings = inferred(tmp_path / str(robots), robots)
@@ -164,6 +181,7 @@ def test_the_page_draws_a_band_over_three_robots_and_each_robot_where_there_are_
         assert ("FillBetween" in generations(rows, "error", "axis")) == bands
         page = write(findings, tmp_path / f"{robots}.html").read_text()
         assert "(mean − truth) / truth of mass" in page and "nan" not in page
+        assert "What it took" in page and f"{3 * robots} of" in page
 
 
 def test_intervals_cover_as_often_as_they_say() -> None:
@@ -184,7 +202,7 @@ def test_holms_correction_is_the_textbooks() -> None:
 def test_the_whole_experiment_runs_once_and_ends_in_tables_and_figures(tmp_path: Path) -> None:
     with Laboratory(1) as laboratory:
         experiment = Experiment(TINY, tmp_path, laboratory, threads=1)
-        for piece in experiment.pieces():
+        for piece in TINY.pieces():
             experiment.do(piece)
         findings = tables.Findings(TINY, Notebook(tmp_path / "study.jsonl"))
     found = tables.everything(findings)["tasks"]["balance"]

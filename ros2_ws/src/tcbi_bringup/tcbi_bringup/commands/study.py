@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _work(experiment: Any) -> None:
     """All pieces; those of an earlier run are only counted."""
-    pieces = list(experiment.pieces())
+    pieces = list(experiment.plan.pieces())
     left = [piece for piece in pieces if piece not in experiment.notebook]
     console.note(f"{len(pieces)} pieces of work, {len(pieces) - len(left)} of them done, in {experiment.folder}")
     with console.progress("study", total=len(left)) as advance:
@@ -88,4 +88,5 @@ def _print(data: dict[str, Any]) -> None:
         console.table("TCBI against", ["", "gain in return", "p (Welch)", "p (Holm)", "p, divergence"], rows)
     for line in data["notes"]:
         print(line)
+    print(data["took"])
     print(f"report: {data['report']}")

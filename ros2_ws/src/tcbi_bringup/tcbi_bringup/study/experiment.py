@@ -1,7 +1,7 @@
 """The experiment, piece by piece: collect, diagnose, infer, retrain, deploy, deploy under sensor noise.
 
     experiment = Experiment(plan, folder, laboratory, threads=2)
-    for piece in experiment.pieces():
+    for piece in plan.pieces():
         experiment.do(piece)
 
 Each piece is kept in the notebook when it is finished; rollouts and models lie in the study's folder. Everything is
@@ -11,7 +11,6 @@ seeded by the piece, so that a study that was stopped and went on has the result
 import dataclasses
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,8 @@ import numpy as np
 from tcbi_bringup.demo.plan import recordings, slope_of
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
 from tcbi_bringup.errors import BringupError
-from tcbi_bringup.study.notebook import Key, Notebook, Result
-from tcbi_bringup.study.plan import CONTESTANTS, FIRST, WINNER, Plan
+from tcbi_bringup.study.notebook import Notebook, Result
+from tcbi_bringup.study.plan import CONTESTANTS, FIRST, WINNER, Key, Plan
 from tcbi_bringup.study.robots import Laboratory, Order
 from tcbi_infer import posterior
 from tcbi_infer.bags.measurement_writer import write_measurement
@@ -60,18 +59,6 @@ class Experiment:
         self.notebook = Notebook(folder / "study.jsonl")
         self.store = ModelStore(folder / "store")
         self.strength = dict(plan.robots)
-
-    def pieces(self) -> Iterator[Key]:
-        """All pieces of work, robot by robot; each needs only those before it."""
-        for robot, _ in self.plan.robots:
-            if any(CONTESTANTS[name].with_effect for name in self.plan.contestants):
-                yield ("diagnose", robot)
-            for task in self.plan.tasks:
-                yield ("collect", task, robot)
-                yield ("deploy", task, robot, FIRST)
-                for name in self.plan.contestants:
-                    for stage in ("infer", "train", "deploy", "noise"):
-                        yield (stage, task, robot, name)
 
     def do(self, piece: Key) -> Result:
         """Do a piece, unless it is done."""

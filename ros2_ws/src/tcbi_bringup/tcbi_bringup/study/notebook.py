@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from tcbi_bringup.commands.console import plain
+from tcbi_bringup.study.plan import Key
 
-Key = tuple[Any, ...]
 Result = dict[str, Any]
 
 

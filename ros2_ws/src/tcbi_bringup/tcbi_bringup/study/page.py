@@ -29,6 +29,10 @@ WELCH = (
 BAND = "Mean over robots, with its 95 % interval as a band; with fewer than three, a thin line for each robot."
 NONE_OF_FEW = "Intervals are 95 %, from resampling robots: with fewer than three robots there is none."
 CAPTION_OF_TIME = "Figure 11: wall time of a generation. Median of each robot's generations, mean over robots, 95 %"
+ONE_BY_ONE = (
+    "Pieces of work run one after another, so the sum is how long the study ran, without what was lost with pieces "
+    "that were cut off."
+)
 WIDTH = (
     "A smaller variance alone is no merit: a method may be narrow and wrong, which the error and the share of "
     "intervals that hold the truth tell."
@@ -45,6 +49,7 @@ def write(findings: Findings, path: Path) -> Path:
             _performance(report, findings, task, data["tasks"][task])
         if data["tasks"][task]["variance_reduction"]:
             _inference(report, findings, task, data["tasks"][task])
+    _times(report, data)
     return report.write(path)
 
 
@@ -146,6 +151,15 @@ def _inference(report: Report, findings: Findings, task: str, found: dict[str, A
     shown.append(Figure(bars_of_time(found["seconds"]), CAPTION_OF_TIME, True))
     table = Table(head, rows, NONE_OF_FEW)
     report.add(Section(f"{task}: inference (Table 3)", text=[WIDTH], table=table, figures=shown))
+
+
+def _times(report: Report, data: dict[str, Any]) -> None:
+    head = ["task", "stage", "pieces done", "wall time / min"]
+    rows = [
+        [r["task"] or "all", r["stage"], f"{r['done']} of {r['pieces']}", f"{r['wall_s'] / 60:.1f}"]
+        for r in data["times"]
+    ]
+    report.add(Section("What it took", text=[data["took"], ONE_BY_ONE], table=Table(head, rows)))
 
 
 def _spread(row: dict[str, Any], key: str, digits: int) -> str:

@@ -1,6 +1,7 @@
 """What a study does: robots, tasks, methods, and how much of everything."""
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +9,7 @@ from tcbi_bringup.demo import plan as demo
 from tcbi_bringup.errors import BringupError
 from tcbi_contract.errors import describe
 
+Key = tuple[Any, ...]  # of a piece of work: the stage, and what it is done for
 FIRST = "first"  # the policy that everybody starts from, not retrained
 EFFECT = "tcbi_effect"
 WINNER = "tcbi"  # the method that the others are tested against
@@ -78,6 +80,18 @@ class Plan:
     contestants: tuple[str, ...] = tuple(CONTESTANTS)
     noise: tuple[float, ...] = (0.02, 0.04, 0.06, 0.08)
     diagnosis: demo.Plan = demo.QUICK
+
+    def pieces(self) -> Iterator[Key]:
+        """All pieces of work, robot by robot; each needs only those before it."""
+        for robot, _ in self.robots:
+            if any(CONTESTANTS[name].with_effect for name in self.contestants):
+                yield ("diagnose", robot)
+            for task in self.tasks:
+                yield ("collect", task, robot)
+                yield ("deploy", task, robot, FIRST)
+                for name in self.contestants:
+                    for stage in ("infer", "train", "deploy", "noise"):
+                        yield (stage, task, robot, name)
 
 
 HOUR = Plan(

@@ -255,6 +255,26 @@ def progress(findings: Findings, task: str) -> Rows:
     return rows
 
 
+def times(findings: Findings) -> Rows:
+    """What each stage took (wall_s), by task; the diagnosis serves all tasks."""
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for piece in findings.plan.pieces():
+        stage, task = piece[0], piece[1] if len(piece) > 2 else ""
+        empty = {"stage": stage, "task": task, "pieces": 0, "done": 0, "wall_s": 0.0}
+        row, found = rows.setdefault((task, stage), empty), findings.notebook.get(*piece)
+        row["pieces"] += 1
+        row["done"] += found is not None
+        row["wall_s"] += (found or {}).get("wall_s", 0.0)
+    return sorted(rows.values(), key=lambda row: row["task"])
+
+
+def took(rows: Rows) -> str:
+    """The total of these, in a sentence."""
+    done, pieces = (sum(row[key] for row in rows) for key in ("done", "pieces"))
+    minutes = sum(row["wall_s"] for row in rows) / 60
+    return f"{done} of {pieces} pieces of work are done; together they took {minutes:.1f} minutes."
+
+
 def everything(findings: Findings) -> dict[str, Any]:
     """All tables of all tasks, for the JSON."""
     tasks = {
@@ -269,4 +289,11 @@ def everything(findings: Findings) -> dict[str, Any]:
         }
         for task in findings.plan.tasks
     }
-    return {"robots": findings.robots, "tasks": tasks, "notes": findings.left_out()}
+    spent = times(findings)
+    return {
+        "robots": findings.robots,
+        "tasks": tasks,
+        "notes": findings.left_out(),
+        "times": spent,
+        "took": took(spent),
+    }
