@@ -70,7 +70,7 @@ def diagnosed() -> Model:
 
 def test_after_a_diagnosis_the_prior_is_twice_as_wide_and_that_is_said():
     plain, wider = Prior.of(narrow()), Prior.of(diagnosed())
-    np.testing.assert_array_equal(wider.mean, plain.mean)
+    np.testing.assert_array_equal(wider.means, plain.means)
     np.testing.assert_allclose(wider.root @ wider.root.T, 4 * plain.root @ plain.root.T, rtol=1e-6)
     problem = Problem.of(diagnosed(), rollouts(), prior=MODEL)
     assert any("2 times as wide as the diagnosis left it" in line for line in problem.warnings)

@@ -19,7 +19,7 @@ import numpy as np
 
 from tcbi_contract.errors import describe
 from tcbi_infer.errors import InferError
-from tcbi_infer.tcbi import checkpoint
+from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result, estimates, misfits, unfinished
@@ -113,7 +113,7 @@ def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
         "timestep": problem.timestep,
         "divergence": problem.divergence_name,
         "bins": [b.bins for b in problem.binnings[:1]],
-        "prior": None if problem.prior is None else problem.prior.mean.tolist(),
+        "prior": None if problem.prior is None else problem.prior.means.tolist(),
         "method": method,
         "settings": list(settings),
         "seed": seed,
@@ -245,6 +245,8 @@ class _Loop:
         known = None if problem.prior is None else problem.prior.draws()
         wrong = misfits(model.parameters, unit, log_weights, self.statistics, last)
         lines = [*wrong, *([] if self.state.converged else unfinished(last))]
+        if several := modes.told(model.parameters, unit, np.exp(log_weights)):
+            lines.append(f"the posterior has {several}; a mean and an interval do not show that, the report does")
         judged = self.method.judges and not wrong
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = self.method.simulations(self.state, self.settings) * len(problem.rollout_ids)

@@ -1,15 +1,16 @@
 """What is believed before these rollouts: the flat prior of the parameters, or what a model version already says.
 
 Methods work on a cube in which the prior is uniform. With a flat prior that is the unit cube of the parameters itself;
-else the cube is mapped by a normal distribution, fitted to the model's particles on the probit scale.
+else the cube is mapped by a normal distribution, fitted to the model's particles on the probit scale, or by one for
+each of their separate modes (`modes`): the cube's first coordinate then says which, and where within it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from tcbi_infer.tcbi.modes import modes, told
 from tcbi_infer.tcbi.proposal import from_probit, to_probit
-from tcbi_infer.tcbi.weights import mean_and_variance
 from tcbi_sim.model import Model
 
 DIAGNOSIS = "diagnosis"  # the kind of evidence that `tcbi_infer.diagnose.adopt` writes
@@ -21,10 +22,11 @@ LEAST_VARIANCE = 1e-6  # on the probit scale, so that a parameter that is known 
 
 @dataclass(frozen=True)
 class Prior:
-    """A normal distribution on the probit scale."""
+    """A normal distribution on the probit scale for each of K modes."""
 
-    mean: np.ndarray  # (P,)
-    root: np.ndarray  # (P, P), Cholesky factor of the covariance
+    shares: np.ndarray  # (K,), sum to one
+    means: np.ndarray  # (K, P)
+    root: np.ndarray  # (P, P), Cholesky factor of the covariance, one for all modes: few particles make each
 
     @staticmethod
     def of(model: Model) -> "Prior":
@@ -35,26 +37,36 @@ class Prior:
         what 11 of 15 allow (one-sided, 90 %). Hence twice, but in no direction wider than the flat prior.
         """
         z = to_probit(model.to_unit(model.particles))
-        mean, _ = mean_and_variance(z, model.weights)
-        centred = z - mean
-        covariance = (centred * model.weights[:, None]).T @ centred + LEAST_VARIANCE * np.eye(len(mean))
+        parts = modes(z, model.weights)
+        shares = np.array([model.weights[part].sum() for part in parts])
+        means = np.array([model.weights[part] @ z[part] for part in parts]) / shares[:, None]
+        covariance = LEAST_VARIANCE * np.eye(z.shape[1])
+        for part, mean in zip(parts, means, strict=True):
+            covariance += ((z[part] - mean) * model.weights[part][:, None]).T @ (z[part] - mean)
         if model.evidence.get("kind") == DIAGNOSIS:
             values, vectors = np.linalg.eigh(AFTER_DIAGNOSIS**2 * covariance)
             covariance = (vectors * np.minimum(values, 1.0)) @ vectors.T
-        return Prior(mean, np.linalg.cholesky(covariance))
+        return Prior(shares / shares.sum(), means, np.linalg.cholesky(covariance))
 
     def draws(self) -> np.ndarray:
         """(N, P) in the parameters' unit cube."""
-        return self.unit(np.random.default_rng(0).random((DRAWS, len(self.mean))))
+        return self.unit(np.random.default_rng(0).random((DRAWS, len(self.root))))
 
     def unit(self, cube: np.ndarray) -> np.ndarray:
         """(N, P) in the cube -> (N, P) in the parameters' unit cube."""
-        return from_probit(self.mean + to_probit(cube) @ self.root.T)
+        ends = np.cumsum(self.shares)
+        mode = np.minimum(np.searchsorted(ends, cube[:, 0]), len(ends) - 1)
+        first = (cube[:, 0] - (ends - self.shares)[mode]) / self.shares[mode]
+        return from_probit(self.means[mode] + to_probit(np.column_stack([first, cube[:, 1:]])) @ self.root.T)
 
 
 def about(model: Model, prior: str) -> list[str]:
     """What a user should know of the prior."""
-    if prior == MODEL and model.evidence.get("kind") == DIAGNOSIS:
+    if prior != MODEL:
+        return []
+    lines = []
+    if model.evidence.get("kind") == DIAGNOSIS:
         wider = f"{AFTER_DIAGNOSIS:g} times as wide as the diagnosis left it, whose intervals are too narrow"
-        return [f"the prior is what {model.version} says, {wider} (docs/tcbi.md)"]
-    return []
+        lines.append(f"the prior is what {model.version} says, {wider} (docs/tcbi.md)")
+    several = told(model.parameters, model.to_unit(model.particles), model.weights)
+    return [*lines, f"the prior keeps what {model.version} left open: {several}"] if several else lines
