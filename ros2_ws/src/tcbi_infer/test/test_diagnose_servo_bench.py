@@ -1,5 +1,6 @@
 """A diagnosis from end to end on a servo bench whose truth is known; another time step plays the robot."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -10,7 +11,11 @@ from tcbi_infer.compare import compare
 from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
 from tcbi_infer.compare.history import VersionError, history, remember
 from tcbi_infer.diagnose import Diagnosis, adopt, diagnose
+from tcbi_infer.diagnose.leftover import POSITION
+from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.errors import InferError
+from tcbi_infer.report import Report, add_diagnosis
+from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import base_model
 
 CANDIDATES = ("command_latency", "rotor_inertia", "torque_saturation")
@@ -67,6 +72,26 @@ def test_what_was_measured_last_is_kept_for_the_dashboard(tmp_path):
 def test_a_diagnosis_of_another_model_is_refused(late):
     with pytest.raises(InferError, match="is of model"):
         adopt.adopt(base_model("hexapod"), "command_latency", late.to_json())
+
+
+def test_a_law_that_the_library_lacks_is_outside_it_and_the_verdict_names_the_variable():
+    """Teeth that pull and push as the joint turns: dry friction is the nearest of the candidates."""
+    model = base_model("servo_bench")
+    toothed = [with_teeth(m) for m in record(model, BASE)]
+    diagnosis = diagnose(model, toothed, uses=CANDIDATES, settings=Settings(refine=1, further=1, escape=False))
+    assert diagnosis.verdict == "outside_library"
+    assert diagnosis.leftover.variables[0].name == POSITION and diagnosis.leftover.variables[0].sure
+    assert f"{POSITION} alone" in diagnosis.statement
+    assert diagnosis.to_json()["leftover"]["share"] > 0.5
+    report = Report("What does the model lack?")
+    add_diagnosis(report, diagnosis)
+    assert "What does the rest of the error go with?" in report.html()
+
+
+def with_teeth(recording: Measurement) -> Measurement:
+    """One recording, its joint 0.02 rad off at most, six times a turn of 60 degrees."""
+    position = recording.joint_position
+    return dataclasses.replace(recording, joint_position=position + 0.02 * np.sin(36.0 * position))
 
 
 def test_nothing_is_missing_where_nothing_is_hidden():

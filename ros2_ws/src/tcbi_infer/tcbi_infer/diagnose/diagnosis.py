@@ -18,10 +18,19 @@ from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
 from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.detectable import Background, detectable_sizes
-from tcbi_infer.diagnose.evidence import CANNOT_TELL, DetectableSize, Diagnosis, Evidence, NextMotion
+from tcbi_infer.diagnose.evidence import (
+    CANNOT_TELL,
+    EFFECT,
+    OUTSIDE_LIBRARY,
+    DetectableSize,
+    Diagnosis,
+    Evidence,
+    NextMotion,
+)
 from tcbi_infer.diagnose.false_alarms import false_alarms
 from tcbi_infer.diagnose.fit import CLOSE_STEPS, Fit, Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.judge import Judge, Judged, screened
+from tcbi_infer.diagnose.leftover import explain
 from tcbi_infer.diagnose.motions import ready_motions
 from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
@@ -221,12 +230,15 @@ class _Run:
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
             errors[best.use] = best.error_after
+        named = ruling.uses[0] if ruling.verdict == EFFECT else ""
+        leftover = explain(self.problem, (after[named] if named else before).held.residual, self.sets, named)
+        beyond = f" {leftover.statement}" if ruling.verdict == OUTSIDE_LIBRARY else ""
         return Diagnosis(
             model=self.model.version,
             verdict=ruling.verdict,
             effects=tuple(dict.fromkeys(u.partition(":")[0] for u in ruling.uses)),
             uses=ruling.uses,
-            statement=ruling.statement,
+            statement=ruling.statement + beyond,
             ranking=tuple(ranking),
             seconds=time.perf_counter() - self.began,
             rollouts=tuple(m.rollout_id for m in self.replay.measurements),
@@ -242,6 +254,7 @@ class _Run:
             false_alarms=false_alarms(null),
             detectable=detectable,
             next_motions=self._next_motions(ruling, before, after, detectable),
+            leftover=leftover,
         )
 
     def _next_motions(

@@ -162,6 +162,39 @@ class NextMotion:
 
 
 @dataclasses.dataclass(frozen=True)
+class Variable:
+    """What a law of one recorded variable explains of what a model leaves.
+
+    Attributes:
+      share: of the joints' squared error beyond the noise, in motions held out; beyond a constant offset's share.
+      se: its standard error, from how far kinds of motion differ.
+      sure: the kinds of motion agree that it explains something, and that is worth a word.
+    """
+
+    name: str
+    share: float
+    se: float
+    sure: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Leftover:
+    """How much of a model's error in the joints' positions goes with anything recorded.
+
+    Attributes:
+      statement: in a sentence.
+      use: the effect that the model has besides the base model; "" for none.
+      share: of the squared error beyond the noise that laws of all variables explain; None where it cannot be told.
+      variables: each alone, the most telling first.
+    """
+
+    statement: str
+    use: str = ""
+    share: float | None = None
+    variables: tuple[Variable, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """The verdict and everything that it rests on.
 
@@ -176,6 +209,7 @@ class Diagnosis:
       false_alarms: how often the search alone raises one, as simulated for this robot and these rollouts.
       detectable: the smallest size of each effect that these rollouts could have shown, or why none.
       next_motions: what to record where the rollouts cannot tell, or to show an effect that was asked for; best first.
+      leftover: what the error of the model that the verdict rests on goes with.
     """
 
     model: str
@@ -198,6 +232,7 @@ class Diagnosis:
     false_alarms: FalseAlarms | None = None
     detectable: tuple[DetectableSize, ...] = ()
     next_motions: tuple[NextMotion, ...] = ()
+    leftover: Leftover | None = None
 
     def moments_json(self) -> list[dict[str, Any]]:
         """The moments, to five digits."""

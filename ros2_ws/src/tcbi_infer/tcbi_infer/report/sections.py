@@ -8,6 +8,7 @@ from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose import detectable, excitation
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis, Evidence, step_label
 from tcbi_infer.report import plots
+from tcbi_infer.report.explained import leftover_section
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_sim.model import Model
 
@@ -52,6 +53,8 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     named = [e for e in d.ranking if e.use in d.uses and e.refined]
     if named:
         report.add(_sizes(named))
+    if d.leftover:
+        report.add(leftover_section(d.leftover))
     if d.next_motions:
         report.add(_next_motions(d))
     if d.untestable:

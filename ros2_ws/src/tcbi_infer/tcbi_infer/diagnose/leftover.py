@@ -1,0 +1,215 @@
+"""How much of what a model leaves unexplained goes with anything that was recorded, and with which variable.
+
+The held-out residual of every joint's position is regressed on variables at the same moment: each by a smooth law of
+its own (hat functions), all of them added up. A law is fitted to all kinds of motion but one and judged on that one;
+how stiff it is, the other kinds decide in the same way. What such laws predict is the share that an effect unknown to
+the library could explain: a robot may err by what depends on nothing recorded, and that is said, too.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_infer.compare.conditions import SLOW
+from tcbi_infer.compare.signals import DEGREE, JOINT, reference
+from tcbi_infer.diagnose import paired
+from tcbi_infer.diagnose.evidence import Leftover, Variable
+from tcbi_infer.diagnose.heldout import fold_indices
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_sim.rigs import load_rig
+
+LEAST_KINDS = 3  # of motion: a law's stiffness is chosen among the others of the one that judges it
+LEAST_SHARE = 0.1  # of the squared error beyond the noise: less is not called an explanation
+LEVEL = 0.95  # of the test, over kinds of motion, that a law predicts anything
+KNOTS, FINE_KNOTS = 8, 48  # of a law; of a law of the position, which may repeat with every tooth of a gear
+PENALTIES = (1.0, 5.0, 25.0, 125.0, 3000.0)  # 1: a law may be as large as the residual; the last allows next to nothing
+OFFSET = "a constant offset"
+COMMAND, POSITION = "the commanded position", "the predicted position"
+LOAD = "the load (command less prediction)"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Design:
+    """Normal equations of every law, joint by joint, samples counted by their autocorrelation.
+
+    Attributes:
+      columns: name of a variable -> its columns.
+      gram: (S, J, K, K); `slope` (S, J, K) against the residual in units of `scale`.
+      scale: (J,) of each joint's residual, in noise floors.
+      square: (S,) squared residual in noise floors, `noise` (S,) what of it is noise.
+    """
+
+    columns: dict[str, np.ndarray]
+    gram: np.ndarray
+    slope: np.ndarray
+    scale: np.ndarray
+    square: np.ndarray
+    noise: np.ndarray
+
+
+def explain(problem: Problem, residual: np.ndarray, sets: np.ndarray, use: str = "") -> Leftover:
+    """What a residual goes with.
+
+    Args:
+      problem: the data.
+      residual: (open sets, T, C) each set predicted without its own kind of motion.
+      sets: the open ones.
+      use: the effect that the model has besides the base model, "" for none.
+    """
+    folds = fold_indices(problem, sets)
+    if len(folds) < LEAST_KINDS:
+        return Leftover(
+            f"How much could be explained at all cannot be told from {len(folds)} kind{'s' * (len(folds) != 1)} of "
+            f"motion: that needs {LEAST_KINDS}.",
+            use,
+        )
+    joints = problem.replay.layout.where(JOINT)
+    if not ((problem.weight[sets] > 0) & np.isfinite(residual))[..., joints].any():
+        return Leftover("How much could be explained at all cannot be told: no motion held out was predicted.", use)
+    design = _design(problem, residual, sets)
+    excess = float(design.square.sum() - design.noise.sum())
+    if excess <= LEAST_SHARE * design.noise.sum():
+        return Leftover("The joints' error is down at the noise floor: nothing is left to explain.", use, 0.0)
+    sizes = np.array([len(fold) for fold in folds])
+    offset = _predicted(design, design.columns[OFFSET], folds)
+    variables = [_variable(OFFSET, offset, excess, sizes)]
+    every = np.arange(design.gram.shape[-1])
+    for name, columns in design.columns.items():
+        if name != OFFSET:
+            both = _predicted(design, np.r_[design.columns[OFFSET], columns], folds)
+            variables.append(_variable(name, both - offset, excess, sizes))
+    variables.sort(key=lambda v: -v.share)
+    together = _variable("", _predicted(design, every, folds), excess, sizes)
+    share = max([v.share for v in (together, *variables) if v.sure], default=0.0)
+    return Leftover(_statement(share, variables), use, share, tuple(variables))
+
+
+def _statement(share: float, variables: Sequence[Variable]) -> str:
+    if not share:
+        return (
+            "Nothing recorded explains it: no law of what was recorded at the same moment predicts the joints' "
+            f"errors in motions held out (tried: {', '.join(v.name for v in variables)})."
+        )
+    told = (
+        f"Laws of what was recorded could explain {100 * share:.0f} % of the joints' squared error beyond the noise, "
+        "judged on motions held out"
+    )
+    best = variables[0]
+    if not best.sure:
+        return f"{told}; no single variable does."
+    return f"{told}; {best.name} alone {100 * best.share:.0f} %."
+
+
+def _variable(name: str, explained: np.ndarray, excess: float, sizes: np.ndarray) -> Variable:
+    """From (F,) squared error that a law takes away in each kind of motion, in noise floors, and in nats of it."""
+    share = float(explained[0].sum()) / excess
+    se = float(np.std(explained[0], ddof=1) * np.sqrt(explained.shape[1])) / excess
+    certain = paired.statistic(explained[1], sizes) > paired.limit(len(sizes), LEVEL)
+    return Variable(name, float(np.clip(share, 0.0, 1.0)), se, bool(certain and share >= LEAST_SHARE))
+
+
+def _predicted(design: _Design, columns: np.ndarray, folds: Sequence[np.ndarray]) -> np.ndarray:
+    """(2, F) squared error that laws of some columns take away in each kind of motion: in noise floors, and in nats."""
+    gram = np.stack([design.gram[fold].sum(axis=0) for fold in folds])[..., columns[:, None], columns]
+    slope = np.stack([design.slope[fold].sum(axis=0) for fold in folds])[..., columns]
+    every = range(len(folds))
+
+    def gained(law: np.ndarray, fold: int) -> np.ndarray:
+        return 2.0 * (law * slope[fold]).sum(axis=-1) - np.einsum("jk,jkl,jl->j", law, gram[fold], law)
+
+    def fitted(without: set[int], penalty: float) -> np.ndarray:
+        train = [f for f in every if f not in without]
+        matrix = gram[train].sum(axis=0) + penalty * np.eye(len(columns))
+        return np.linalg.solve(matrix, slope[train].sum(axis=0)[..., None])[..., 0]
+
+    tried = np.zeros((len(folds), len(PENALTIES)))  # of each kind left out: what the others predict of each other
+    for f, g in itertools.combinations(every, 2):
+        for i, penalty in enumerate(PENALTIES):
+            law = fitted({f, g}, penalty)
+            tried[f, i] += gained(law, g).sum()
+            tried[g, i] += gained(law, f).sum()
+    result = np.empty((2, len(folds)))
+    for f in every:
+        gain = gained(fitted({f}, PENALTIES[int(np.argmax(tried[f]))]), f)
+        result[:, f] = (gain * design.scale**2).sum(), 0.5 * gain.sum()
+    return result
+
+
+def _design(problem: Problem, residual: np.ndarray, sets: np.ndarray) -> _Design:
+    joints = problem.replay.layout.where(JOINT)
+    index = joints[problem.weight[sets][..., joints].any(axis=(0, 1))]
+    weight = problem.weight[sets][..., index]
+    scaled = residual[..., index] / problem.floor[index]
+    predicted = np.where(weight > 0, problem.observed[sets][..., index] - residual[..., index], np.nan)
+    laws = _laws(problem, predicted, sets, [int(np.flatnonzero(joints == i)[0]) for i in index])
+    weight = weight * np.isfinite(scaled) * np.all([np.isfinite(law).all(axis=-1) for law in laws.values()], axis=0)
+    scaled = np.where(weight > 0, scaled, 0.0)
+    scale = np.sqrt((scaled**2).sum(axis=(0, 1)) / np.maximum(weight.sum(axis=(0, 1)), 1.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    columns, first = {}, 0
+    for name, law in laws.items():
+        columns[name] = np.arange(first, first + law.shape[-1])
+        first += law.shape[-1]
+    share = problem.share[problem.group[index[0]]]
+    gram, slope = np.empty((len(sets), len(index), first, first)), np.empty((len(sets), len(index), first))
+    for s in range(len(sets)):
+        each = np.concatenate([np.nan_to_num(law[s]) for law in laws.values()], axis=-1)  # (T, J, K)
+        weighted = (share * weight[s][..., None] * each).transpose(1, 2, 0)
+        gram[s] = weighted @ each.transpose(1, 0, 2)
+        slope[s] = np.einsum("jkt,tj->jk", weighted, scaled[s] / scale)
+    repeats = np.array([len(problem.replay.replicates[s].members) for s in sets])
+    noise = weight.sum(axis=(1, 2)) / repeats
+    # the sums of gains count independent samples, those of squares all of them
+    return _Design(columns, gram, slope, scale / np.sqrt(share), (scaled**2).sum(axis=(1, 2)), noise)
+
+
+def _laws(problem: Problem, predicted: np.ndarray, sets: np.ndarray, joints: list[int]) -> dict[str, np.ndarray]:
+    """Name -> (S, T, J, K) columns of each variable that varies, centred, of about unit size.
+
+    Args:
+      problem: the data.
+      predicted: (S, T, J) joint positions in degrees, NaN where nothing counts.
+      sets: the open ones.
+      joints: of the robot, that count.
+    """
+    replay = problem.replay
+    firsts = [replay.measurements[replay.replicates[s].members[0]] for s in sets]
+    time, shape = replay.time, predicted.shape
+    asked = np.stack([reference(m, time)[:, joints] for m in firsts]) * DEGREE
+    velocity = np.gradient(predicted, time, axis=1)
+    smooth = {COMMAND: asked, POSITION: predicted, "the predicted velocity": velocity}
+    if load_rig(replay.rig).kind == "position":
+        smooth |= {LOAD: asked - predicted, "the commanded speed": np.gradient(asked, time, axis=1)}
+    smooth["the time since start"] = np.broadcast_to(time[None, :, None], shape)
+    laws = {OFFSET: np.ones((*shape, 1))}
+    for name, values in smooth.items():
+        if np.nanmax(np.nanmax(values, axis=(0, 1)) - np.nanmin(values, axis=(0, 1))) > 1e-9:
+            laws[name] = _hats(values, FINE_KNOTS if name == POSITION else KNOTS)
+    laws["the direction of motion"] = np.tanh(velocity / (SLOW * DEGREE))[..., None]
+    for name, values in {
+        "the slope": np.array([(m.scenario.slope_roll, m.scenario.slope_pitch) for m in firsts]),
+        **{f"the recorded {key}": column[:, None] for key, column in _constants(problem, sets).items()},
+    }.items():
+        spread = values.std(axis=0)
+        if (spread > 1e-9).any():
+            each = (values - values.mean(axis=0))[:, spread > 1e-9] / spread[spread > 1e-9]
+            laws[name] = np.broadcast_to(each[:, None, None], (*shape, each.shape[-1]))
+    return laws
+
+
+def _constants(problem: Problem, sets: np.ndarray) -> dict[str, np.ndarray]:
+    """(S,) numbers that every rollout states of itself, such as a supply voltage or a temperature."""
+    replay = problem.replay
+    each = [dict(replay.measurements[replay.replicates[s].members[0]].scenario.constants) for s in sets]
+    shared = set.intersection(*(set(constants) for constants in each))
+    return {key: np.array([constants[key] for constants in each]) for key in sorted(shared)}
+
+
+def _hats(values: np.ndarray, knots: int) -> np.ndarray:
+    """(S, T, J, knots) hat functions over each joint's range, centred; NaN where the values are."""
+    low, high = np.nanquantile(values, (0.005, 0.995), axis=(0, 1))
+    place = np.clip((values - low) / np.maximum(high - low, 1e-9), 0.0, 1.0) * (knots - 1)
+    hats = np.maximum(0.0, 1.0 - np.abs(place[..., None] - np.arange(knots)))
+    return hats - np.nanmean(hats, axis=(0, 1))
