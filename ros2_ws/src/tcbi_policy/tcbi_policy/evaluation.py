@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tcbi_policy.artefact import Actor
+from tcbi_policy.blocks import OverBlocks, over_blocks
 from tcbi_policy.environment import TIMESTEP_S
 from tcbi_policy.mlp import Mlp
 from tcbi_policy.reward import inclination, progress, simulated_rewards
@@ -36,6 +37,7 @@ class Evaluation:
     returns: np.ndarray  # (n,)
     inclination: np.ndarray  # (n,) rad, at the end
     distance: np.ndarray  # (n,) m along the heading at the start
+    over_blocks: OverBlocks | None = None  # None where no scenario has blocks
 
     @property
     def mean_return(self) -> float:
@@ -43,7 +45,7 @@ class Evaluation:
         return float(np.nanmean(self.returns))
 
     def summary(self) -> dict[str, float]:
-        """Means and spreads, in degrees and m."""
+        """Means and spreads, in degrees and m; where there are blocks, also who went over one and how far they came."""
         degrees = np.degrees(self.inclination)
         return {
             "rollouts": len(self.returns),
@@ -53,7 +55,17 @@ class Evaluation:
             "distance_m": float(np.nanmean(self.distance)),
             "median_distance_m": float(np.nanmedian(self.distance)),
             "diverged": int(np.isnan(self.returns).sum()),
-        }
+        } | self._blocks()
+
+    def _blocks(self) -> dict[str, float]:
+        """How many rollouts went over a block, how many with a foot, and the mean distance of those and the others."""
+        if self.over_blocks is None:
+            return {}
+        ended = np.isfinite(self.distance)
+        foot, either = ended & self.over_blocks.foot, ended & (self.over_blocks.trunk | self.over_blocks.foot)
+        groups = {"distance_over_blocks_m": either, "distance_not_over_blocks_m": ended & ~either}
+        counts = {"over_blocks": int(either.sum()), "foot_over_blocks": int(foot.sum())}
+        return counts | {name: float(self.distance[group].mean()) for name, group in groups.items() if group.any()}
 
 
 def draw_conditions(model: Model, task: str, count: int, seed: int) -> Conditions:
@@ -76,7 +88,8 @@ def evaluate(
     heading = np.array([s.initial_yaw for s in conditions.scenarios])
     ends = (inclination(out.attitude[:, 0, -1]), progress(out.position[:, 0], heading)[:, -1])
     returns = np.nansum(simulated_rewards(out)[:, 0], axis=-1)
-    return Evaluation(*(np.where(lost, np.nan, values) for values in (returns, *ends)))
+    returns, tilt, distance = (np.where(lost, np.nan, values) for values in (returns, *ends))
+    return Evaluation(returns, tilt, distance, over_blocks(out) if any(s.blocks for s in scenarios) else None)
 
 
 def step_spread(actor: Actor, model: Model, conditions: Conditions, timestep: float, threads: int = 0) -> float:

@@ -15,8 +15,9 @@ SIDE = np.array([-1.0 if leg.startswith("l") else 1.0 for leg in LEGS])  # turns
 
 
 def forward(angles: np.ndarray) -> np.ndarray:
-    """Feet (6, 3) in m of joint angles (18,) in rad."""
-    coxa, femur, tibia = np.asarray(angles, float).reshape(6, 3).T
+    """Feet (..., 6, 3) in m of joint angles (..., 18) in rad."""
+    angles = np.asarray(angles, float)
+    coxa, femur, tibia = np.moveaxis(angles.reshape(*angles.shape[:-1], 6, 3), -1, 0)
     leg = dimensions()["leg"]
     upper = leg["femur_elevation"] + femur
     lower = leg["tibia_tilt"] - math.pi / 2 + femur + tibia

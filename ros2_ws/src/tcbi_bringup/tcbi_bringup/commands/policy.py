@@ -10,6 +10,8 @@ from tcbi_bringup.commands import console
 UNITS = {
     **{"cpu_s": "s", "mean_return": "points", "sd_return": "points"},
     **{"final_inclination_deg": "deg", "distance_m": "m", "median_distance_m": "m"},
+    **{"over_blocks": "rollouts", "foot_over_blocks": "rollouts"},
+    **{"distance_over_blocks_m": "m", "distance_not_over_blocks_m": "m"},
 }
 POINTS = "return: points of the task's reward, summed over an episode; docs/policies.md says what each is given for"
 SUMMARY = "List the policies, show one's card, measure it in simulations drawn from a model, or export it."
@@ -19,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to look at."""
     parser.add_argument("policy", nargs="?", default="", help="policy file, its name, or gait:NAME; nothing lists all")
     parser.add_argument(
-        "--measure", action="store_true", help="roll it out and report return, inclination and distance"
+        "--measure", action="store_true", help="roll it out; report return, inclination, distance, and blocks gone over"
     )
     console.add_task(parser, ": where to measure it (default: the one that it was trained for)")
     console.add_model(parser, "model version whose parameters are drawn")
