@@ -70,6 +70,7 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
     write_rollouts(tmp_path / "bags", 0, 6)
     start_graph(node)
     posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    running = peer.collect(names.POSTERIOR_PROGRESS, Posterior, messages.STREAM_QOS)
     errors = peer.collect(names.MODEL_ERROR, ModelError, messages.LATCHED_QOS)
     peer.wait_until(lambda: bool(posteriors and errors), "posterior and error", WORK_S)
     # a server that comes late and is busy at first gets the wish all the same
@@ -77,6 +78,7 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
     peer.wait_until(lambda: bool(goals), "training", WORK_S)
     assert len(refused) == 2
 
+    assert [(m.generation, m.model, m.converged, len(m.particles)) for m in running[:1]] == [(1, f"{RIG}-v0", False, 0)]
     first = posteriors[0]
     assert (first.rig, first.model, first.task) == (RIG, f"{RIG}-v1", "steps")
     assert list(first.parameter) == ["gain", "damping", "friction"]

@@ -29,6 +29,7 @@ DISTANCE = "rollout/distance"
 DIAGNOSTICS = "diagnostics"
 ROBOT_DESCRIPTION = "robot_description"
 POSTERIOR = "posterior"
+POSTERIOR_PROGRESS = "posterior/progress"  # of an inference at work, after each generation: not final
 MODEL_ERROR = "model_error"
 DIAGNOSIS = "diagnosis"
 POLICY_STATUS = "policy/status"

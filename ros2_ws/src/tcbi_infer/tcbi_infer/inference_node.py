@@ -64,7 +64,7 @@ class InferenceParameters:
         high=1.0,
     )
     retrain: bool = parameter(True, "whether to ask for trainings")
-    retrain_budget_s: float = parameter(300.0, "of such a training, s; 0 for no limit", low=0.0)
+    retrain_budget_s: float = parameter(120.0, "of such a training, s; 0 for no limit", low=0.0)
     threads: int = parameter(0, "processors for the simulations; 0 for all", low=0, high=256)
     seed: int = parameter(0, "of all randomness", low=0)
     poll_s: float = parameter(1.0, "how often to look for finished bags and for the worker's news", low=0.05, high=60.0)
@@ -95,6 +95,7 @@ class InferenceNode(Node):
     def _open(self) -> None:
         own, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._posterior = self.create_publisher(Posterior, names.POSTERIOR, messages.LATCHED_QOS)
+        self._running = self.create_publisher(Posterior, names.POSTERIOR_PROGRESS, messages.STREAM_QOS)
         self._error = self.create_publisher(ModelError, names.MODEL_ERROR, messages.LATCHED_QOS)
         self._diagnosis = self.create_publisher(Diagnosis, names.DIAGNOSIS, messages.LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
@@ -151,6 +152,8 @@ class InferenceNode(Node):
             self._state = f"inferring, {event['stage']}, {number(event['remaining_s']):.0f} s left"
         elif kind == "warning":
             self.get_logger().warning(event["message"])
+        elif kind == "generation":
+            self._running.publish(posterior_message(event, stamp))
         elif kind == "posterior":
             self._news["posterior"] = event
             self._posterior.publish(posterior_message(event, stamp))

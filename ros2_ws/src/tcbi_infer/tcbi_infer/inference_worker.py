@@ -1,6 +1,7 @@
 """The inference node's other half: one job a process, so that simulations never hold up a callback.
 
-Its events, as `worker_process` passes them on: `warning`, `progress`, `posterior`, `model_error`, `diagnosis`.
+Its events, as `worker_process` passes them on: `warning`, `progress`, `generation`, `posterior`, `model_error`,
+`diagnosis`.
 
     python -m tcbi_infer.inference_worker < job.json
 """
@@ -21,10 +22,10 @@ from tcbi_infer.compare import compare
 from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose.adopt import remember
 from tcbi_infer.errors import BagError
-from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.driver import Progress, infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.result import Result
+from tcbi_infer.tcbi.result import Result, prior_sds
 from tcbi_infer.worker_process import Emit, serve
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -92,9 +93,15 @@ def run_inference(job: Job, emit: Emit) -> None:
         model, measurements, statistics=method.statistics, policies=store.root, threads=job.threads, seed=job.seed
     )
 
-    def watch(progress: Any) -> None:
+    told = 0  # generations
+
+    def watch(progress: Progress) -> None:
+        nonlocal told
         done = (progress.generation - 1 + progress.share) / progress.generations
         emit("progress", stage=f"generation {progress.generation}", share=done, remaining_s=progress.remaining_s)
+        if progress.generation - 1 > told and progress.share < 1:  # the last one's is the posterior itself
+            told = progress.generation - 1
+            emit("generation", **running(problem, job.method, told, progress))
 
     result = infer(
         problem,
@@ -136,6 +143,31 @@ def moved(before: Model, result: Result) -> float:
     now = dict(zip(result.model.names, np.exp(result.log_weights) @ result.unit, strict=True))
     shift = np.abs(np.array([now.get(name, mean[i]) for i, name in enumerate(before.names)]) - mean)
     return float(np.max(shift / np.maximum(sd, 1e-6)))
+
+
+def running(problem: Problem, method: str, generation: int, progress: Progress) -> dict[str, Any]:
+    """What `tcbi_msgs/Posterior` holds of an inference at work: no particles, and nothing is said to be identified."""
+    model, known = problem.model, None if problem.prior is None else problem.prior.draws()
+    return {
+        "rig": model.rig,
+        "model": model.version,
+        "task": problem.task,
+        "method": method,
+        "generation": generation,
+        "parameter": list(model.names),
+        "unit": [p.unit for p in model.parameters],
+        "mean": progress.mean.tolist(),
+        "variance": (progress.sd**2).tolist(),
+        "prior_variance": [sd**2 for sd in prior_sds(model.parameters, known)],
+        "identified": [False] * len(model.names),
+        "particles": [],
+        "weights": [],
+        "effective_sample_size": progress.ess,
+        "statistic": [],
+        "divergence": [],
+        "source_rollouts": list(problem.rollout_ids),
+        "converged": False,
+    }
 
 
 def summary(result: Result, saved: Model, shift: float) -> dict[str, Any]:

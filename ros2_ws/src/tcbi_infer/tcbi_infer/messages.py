@@ -16,7 +16,7 @@ def number(value: float | None) -> float:
 
 
 def posterior_message(content: Content, stamp: Time) -> Posterior:
-    """From a `posterior` event."""
+    """From a `posterior` or a `generation` event."""
     names = Posterior.get_fields_and_field_types().keys() - {"header"}
     message = Posterior(**{name: content[name] for name in names})
     message.header.stamp = stamp

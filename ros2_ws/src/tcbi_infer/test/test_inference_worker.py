@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from tcbi_cases import bench_rollouts
 
 from tcbi_infer.bags.measurement_writer import write_measurement
@@ -62,13 +63,30 @@ def test_an_inference_judges_before_and_after_on_rollouts_that_it_did_not_fit(ba
     events: list[tuple[str, dict]] = []
     run_inference(job(bags, tmp_path), lambda event, **content: events.append((event, content)))
     kinds = [kind for kind, _ in events if kind != "progress"]
-    assert kinds == ["posterior", "model_error", "model_error"]
+    assert kinds == ["generation", "posterior", "model_error", "model_error"]
     found = next(content for kind, content in events if kind == "posterior")
     before, after = (content for kind, content in events if kind == "model_error")
     assert (before["model"], after["model"]) == ("servo_bench-v0", "servo_bench-v1")
     assert not set(after["rollouts"]) & set(found["source_rollouts"])
     assert np.isfinite(found["moved"]) and json.loads(json.dumps(finite(found)))
     assert ModelStore(tmp_path / "store").load("servo_bench-v1").evidence["inference"]["method"] == "calibrated"
+
+
+def test_after_each_generation_but_the_last_the_posterior_so_far_is_told_as_such(bags: Path, tmp_path: Path) -> None:
+    from tcbi_infer.messages import posterior_message
+
+    events: list[tuple[str, dict]] = []
+    run_inference(job(bags, tmp_path, generations=3, held_out=()), lambda event, **c: events.append((event, c)))
+    told = [content for kind, content in events if kind == "generation"]
+    (final,) = (content for kind, content in events if kind == "posterior")
+    assert [content["generation"] for content in told] == [1, 2]
+    (file,) = (tmp_path / "store" / "runs").glob("*/generations.json")
+    for content, entry in zip(told, json.loads(file.read_text()), strict=False):
+        assert content["mean"] == entry["mean"] and content["effective_sample_size"] == entry["ess"]
+        assert content["variance"] == pytest.approx(entry["variance"])
+        assert (content["model"], content["prior_variance"]) == ("servo_bench-v0", final["prior_variance"])
+        message = posterior_message(content, Time(sec=3))
+        assert not message.converged and len(message.particles) == 0 and not any(message.identified)
 
 
 def test_a_new_parameter_counts_as_an_unlimited_move() -> None:

@@ -124,7 +124,7 @@ def estimates(
     before = np.full(len(parameters), FLAT_VARIANCE) if prior is None else prior.var(axis=0)
     _, variance = mean_and_variance(unit, weights)
     high = _variance_bound(unit, weights, seed)
-    grid = np.tile((np.arange(1000)[:, None] + 0.5) / 1000, len(parameters)) if prior is None else prior
+    sds = prior_sds(parameters, prior)
     rows = []
     for i, p in enumerate(parameters):
         values = p.from_unit(unit[:, i])
@@ -138,12 +138,18 @@ def estimates(
                 float(np.sqrt(spread[0])),
                 float(low90),
                 float(high90),
-                float(p.from_unit(grid[:, i]).std()),
+                sds[i],
                 float(variance[i] / before[i]),
                 bool(enough and high[i] / before[i] < IDENTIFIED_BELOW),
             )
         )
     return tuple(rows)
+
+
+def prior_sds(parameters: Sequence[Parameter], prior: np.ndarray | None = None) -> list[float]:
+    """Standard deviation of each parameter in its unit before the data: of (N, P) draws in [0, 1], or flat."""
+    draws = np.tile((np.arange(1000)[:, None] + 0.5) / 1000, len(parameters)) if prior is None else prior
+    return [float(p.from_unit(draws[:, i]).std()) for i, p in enumerate(parameters)]
 
 
 def _variance_bound(unit: np.ndarray, weights: np.ndarray, seed: int, resamples: int = 200) -> np.ndarray:
