@@ -72,4 +72,7 @@ def _print(comparison: "Comparison", rungs: "Sequence[Rung]", path: Path) -> Non
     print(comparison.floor.statement)
     for finding in comparison.where:
         print(f"  {finding.statement}")
+    moments = [[w.rollout, w.time, w.signal, w.error, w.unit, w.error_over_floor] for w in comparison.worst]
+    if moments:
+        console.table("worst moments", ["rollout", "from / s", "signal", "error", "unit", "error / floor"], moments)
     print(f"report: {path}")

@@ -8,11 +8,13 @@ import numpy as np
 
 from tcbi_infer.compare import task
 from tcbi_infer.compare.errors import CompareError
+from tcbi_infer.compare.findings import Finding, Moment
 from tcbi_infer.compare.guards import guard
-from tcbi_infer.compare.locate import Finding, locate
+from tcbi_infer.compare.locate import locate
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.compare.scorer import Scorer, SignalError, error_over_floor
+from tcbi_infer.compare.scorer import Scorer, SignalError, Traces, error_over_floor
+from tcbi_infer.compare.worst import WorstMoment, worst
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
@@ -34,6 +36,8 @@ class Comparison:
       statistics: what the task is about, one figure a rollout: return, final inclination, contact ratios, …
       error_over_floor: root mean square of `ratio` over joints and attitude.
       guards: findings about the recording and the replay, to be read before any figure.
+      worst: the moments to look at first, the worst one in front.
+      distance: travelled, over time; None where no tracker told.
       predicted: (R, T, C) with the model's mean parameters; `low`, `high` bound the predictive 90 % band.
     """
 
@@ -49,6 +53,8 @@ class Comparison:
     predicted: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    worst: tuple[WorstMoment, ...] = ()
+    distance: Traces | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""
@@ -60,7 +66,22 @@ class Comparison:
             "error_over_floor": self.error_over_floor,
             "floor_from_replicates": self.floor.from_replicates,
             "guards": list(self.guards),
-            "where": [{"statement": f.statement, "score": f.score} for f in self.where],
+            "where": [self._place(f) for f in self.where],
+            "worst": [moment.to_json() for moment in self.worst],
+        }
+
+    def _place(self, f: Finding) -> dict[str, Any]:
+        figures = {"error": f.rms, "elsewhere": f.elsewhere, "error_over_floor": f.over_floor}
+        said = {"statement": f.statement, "score": f.score, "signals": list(f.channels), "phase": f.phase}
+        return {**said, "kind": f.kind, **figures, "moment": f.moment and self._moment(f.moment)}
+
+    def _moment(self, moment: Moment) -> dict[str, Any]:
+        time = self.replay.time[moment.first : moment.first + len(moment.inside)]
+        return {
+            "rollout": self.rollouts[moment.rollout],
+            "time": float(time[0]),
+            "until": float(time[-1]),
+            "signal": self.replay.layout.channels[moment.channel].name,
         }
 
 
@@ -124,6 +145,8 @@ def compare(
         predicted,
         scorer.low,
         scorer.high,
+        tuple(worst(replay, predicted, floor.values)),
+        scorer.traces(task.DISTANCE),
     )
 
 

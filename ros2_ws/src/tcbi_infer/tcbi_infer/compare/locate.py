@@ -9,54 +9,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tcbi_infer.compare.body import Whole, body_findings
 from tcbi_infer.compare.conditions import conditions, phases
-from tcbi_infer.compare.kinds import OFFSET, SCATTER, kind_of
-from tcbi_infer.compare.signals import ATTITUDE, DEGREE, JOINT, RATE, Layout, reference
+from tcbi_infer.compare.findings import FEWEST, LEAST_BEYOND, LEAST_OVER, Finding, Moment, doubt
+from tcbi_infer.compare.kinds import kind_of
+from tcbi_infer.compare.signals import DEGREE, JOINT, Layout, reference
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.rig import Rig
 
-FEWEST = 25  # samples that a cell needs
 LEAST_SCORE = 0.02
-LEAST_OVER, LEAST_BEYOND = 1.5, 1.15  # times the noise floor, times the error elsewhere, that are worth a sentence
 MOMENT_S = 1.5  # s, length of a moment
-AS_GOOD, SAME_SAMPLES = 0.8, 0.6  # of a cell's score, and shared by both, from which another cell may be meant as well
-WHOLE = 0.95  # share of a rollout's samples that counts as all of it
-
-
-@dataclasses.dataclass(frozen=True)
-class Moment:
-    """A stretch of one channel, from sample `first` on; `inside` (span,) is where the phase holds."""
-
-    rollout: int
-    first: int
-    channel: int
-    inside: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Finding:
-    """One place where the error lives.
-
-    Attributes:
-      statement: a sentence for people, computed from the data.
-      score: share of the excess squared error that lies there, beyond the cell's share of the samples, 0..1; what a
-        better finding covers is not counted again.
-      channels: names of the channels concerned.
-      phase: the phase or condition, "" for all samples.
-      rms: error there, in the channels' unit; `elsewhere` the same outside the cell and of better findings.
-      kind: lag, offset, droop, gain, hysteresis or scatter.
-      moment: the stretch that shows it best; None of the body.
-    """
-
-    statement: str
-    score: float
-    channels: tuple[str, ...]
-    phase: str
-    rms: float
-    elsewhere: float
-    over_floor: float
-    kind: str = SCATTER
-    moment: Moment | None = None
 
 
 def joint_cells(rig: Rig) -> dict[str, tuple[int, ...]]:
@@ -89,7 +51,8 @@ def locate(
       most: sentences at most.
     """
     joints = _Joints(rig, layout, measurements, time, residual, predicted, floor)
-    findings = [*joints.findings(most), *_body_findings(layout, residual, floor)]
+    body = body_findings(layout, residual, floor, joints.whole, joints.span)
+    findings = [*joints.findings(most), *body]
     return sorted(findings, key=lambda f: -f.score)[:most]
 
 
@@ -121,7 +84,9 @@ class _Joints:
         self.read: set[str] = set()  # phases by a reading, which drifts with much else
         for name in dict.fromkeys(name for masks in each for name in masks):
             self.masks[name] = np.stack([masks.get(name, none) for masks in each])
-        for condition in conditions(layout, measurements, time, predicted):
+        found = conditions(layout, measurements, time, predicted)
+        self.whole = Whole.of(self.masks, found, self.error.shape[:2])
+        for condition in found:
             parts = condition.parts()
             self.masks |= parts
             self.read |= set(parts) if condition.reading else set()
@@ -140,8 +105,7 @@ class _Joints:
             seen.add(best)
             finding = self._finding(*best, scores[best], left, told)
             if finding is not None:
-                doubt = self._doubt(best, scores)
-                yield dataclasses.replace(finding, statement=finding.statement + doubt)
+                yield dataclasses.replace(finding, statement=finding.statement + self._doubt(best, scores))
                 found += 1
                 told |= self._cell(*best)
                 left[told] = 0.0
@@ -157,25 +121,11 @@ class _Joints:
                     yield (label, phase), float(here[index].sum() / total - count / samples * rest)
 
     def _doubt(self, best: tuple[str, str], scores: dict[tuple[str, str], float]) -> str:
-        """What else may be meant where a reading is concerned: nearly the same samples, which err nearly as much."""
-        here, doubts = self._cell(*best), []
-        for cell in sorted(scores, key=lambda cell: -scores[cell]):
-            if cell[1] == best[1] or not {cell[1], best[1]} & self.read or scores[cell] < AS_GOOD * scores[best]:
-                continue
-            there = self._cell(*cell)
-            if np.sum(here & there) >= SAME_SAMPLES * np.sum(here | there):
-                names = tuple(self.names[j] for j in self.cells[cell[0]])
-                other = cell[1] if cell[0] == best[0] and cell[1] else f"{_who(cell[0], names)} {cell[1]}".strip()
-                doubts.append(
-                    f" Nearly the same samples ({other}) err as much: these recordings cannot tell which is behind it."
-                )
-                break
-        if best[1] in self.read:
-            total = np.maximum(self.valid.sum(axis=(1, 2)), 1)
-            share = (self.masks[best[1]] & self.valid).sum(axis=(1, 2)) / total
-            if np.all((share > WHOLE) | (share < 1 - WHOLE)):
-                doubts.append(" These are whole rollouts: whatever else differed between them may be behind it.")
-        return "".join(doubts)
+        def told(label: str, phase: str) -> str:
+            names = tuple(self.names[j] for j in self.cells[label])
+            return phase if label == best[0] and phase else f"{_who(label, names)} {phase}".strip()
+
+        return doubt(best, scores, lambda cell: self._cell(*cell), lambda cell: told(*cell), self.read, self.valid)
 
     def _cell(self, label: str, phase: str) -> np.ndarray:
         """(R, T, J) bool."""
@@ -225,42 +175,11 @@ def _who(label: str, names: Sequence[str]) -> str:
     return f"The joints of the {label}" if label.endswith("leg") else f"The {label}"
 
 
-def _body_findings(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> list[Finding]:
-    """Body signals stand apart from joints: tilt that joints do not explain points at sensors, ground or mass."""
-    joints = layout.where(JOINT)
-    over_joint = _over(residual, floor, joints)
-    findings = []
-    for group, noun in ((ATTITUDE, "body attitude"), (RATE, "body rates")):
-        index = layout.where(group)
-        if not len(index) or not np.isfinite(residual[..., index]).any():
-            continue
-        over = _over(residual, floor, index)
-        if over < 1.5 or over < 1.15 * over_joint:
-            continue
-        rms = float(np.sqrt(np.nanmean(residual[..., index] ** 2)))
-        mean = np.nanmean(residual[..., index], axis=(0, 1))
-        constant = float(np.sum(mean**2) / np.sum(np.nanmean(residual[..., index] ** 2, axis=(0, 1))))
-        kind = ", mostly a constant offset" if constant > 0.6 else ""
-        text = (
-            f"The {noun} departs from the prediction by {rms:.2f} {group.unit}, {over:.1f} times the noise floor"
-            f"{kind}, while the joints stand at {over_joint:.1f} times theirs."
-        )
-        score = float(min(1.0, 1.0 - over_joint**2 / over**2))
-        names = tuple(layout.channels[i].name for i in index)
-        shape = OFFSET if constant > 0.6 else SCATTER
-        findings.append(Finding(text, score, names, "", rms, float("nan"), over, shape))
-    return findings
-
-
-def _over(residual: np.ndarray, floor: np.ndarray, index: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean((residual[..., index] / floor[index]) ** 2)))
-
-
 def worst_moments(
-    residual: np.ndarray, floor: np.ndarray, joints: np.ndarray, count: int, span: int
+    residual: np.ndarray, floor: np.ndarray, channels: np.ndarray, count: int, span: int
 ) -> list[tuple[int, int, int]]:
     """(rollout, first sample, channel) of the worst windows of `span` samples, apart from each other."""
-    scaled = np.nan_to_num(residual[..., joints] / floor[joints]) ** 2
+    scaled = np.nan_to_num(residual[..., channels] / floor[channels]) ** 2
     length = scaled.shape[1]
     span = min(span, length)
     total = np.cumsum(np.concatenate([np.zeros_like(scaled[:, :1]), scaled], axis=1), axis=1)
@@ -269,7 +188,7 @@ def worst_moments(
     windows = windows.copy()
     while len(moments) < count and windows.size and windows.max() > 0:
         r, t, c = np.unravel_index(int(np.argmax(windows)), windows.shape)
-        moments.append((int(r), int(t), int(joints[c])))
+        moments.append((int(r), int(t), int(channels[c])))
         windows[r, :, c] = -1
         windows[r, max(0, t - span) : t + span, :] = -1
     return moments

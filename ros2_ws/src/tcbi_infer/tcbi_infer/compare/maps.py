@@ -9,7 +9,7 @@ import numpy as np
 
 from tcbi_infer.compare.comparison import Comparison
 from tcbi_infer.compare.conditions import conditions, phases
-from tcbi_infer.compare.locate import FEWEST
+from tcbi_infer.compare.findings import FEWEST
 from tcbi_infer.compare.signals import JOINT
 from tcbi_sim.rigs import load_rig
 

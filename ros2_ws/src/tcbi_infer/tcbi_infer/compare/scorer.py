@@ -36,6 +36,16 @@ class SignalError:
     floor_from: str
 
 
+@dataclasses.dataclass(frozen=True)
+class Traces:
+    """One signal of the task over time: (R, K) measured, predicted at the mean, and the predictive 90 % band."""
+
+    measured: np.ndarray
+    predicted: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
 class Scorer:
     """Collects bands and scores while the particles are simulated for a few motions at a time."""
 
@@ -47,6 +57,7 @@ class Scorer:
         self.observed = task.measured(replay)
         self.floors = task.floors(self.observed, mean, replay.replicates)
         self.inside = {name: np.full(self.observed[name].shape, np.nan) for name in self.floors}
+        self.bands = {name: np.full((2, *self.observed[name].shape), np.nan) for name in self.floors}
         self.task_score = {name: np.full(self.observed[name].shape, np.nan) for name in self.floors}
 
     def take(self, sets: Sequence[int], rollouts: SimulatedRollouts) -> None:
@@ -75,9 +86,16 @@ class Scorer:
                 continue
             seen = self.observed[name][r, :width]
             low, high = predictive_band(draws, sigma)
+            self.bands[name][:, r, :width] = low, high
             told = np.isfinite(seen) & np.isfinite(low)
             self.inside[name][r, :width] = np.where(told, (seen >= low) & (seen <= high), np.nan)
             self.task_score[name][r, :width] = crps(seen, draws, sigma)
+
+    def traces(self, name: str) -> Traces | None:
+        """A task signal over time; None where it was not measured or cannot be predicted."""
+        if name not in self.floors or not np.isfinite(self.observed[name] - self.mean[name]).any():
+            return None
+        return Traces(self.observed[name], self.mean[name], *self.bands[name])
 
     def channel_errors(self) -> tuple[SignalError, ...]:
         """The error of every channel that was measured."""

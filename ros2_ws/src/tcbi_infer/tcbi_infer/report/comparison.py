@@ -5,12 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tcbi_infer.compare.comparison import Comparison
+from tcbi_infer.compare.findings import Finding, Moment
 from tcbi_infer.compare.ladder import Rung, explained
-from tcbi_infer.compare.locate import Finding, Moment, worst_moments
 from tcbi_infer.compare.maps import curves, heat, joint_errors
 from tcbi_infer.compare.scorer import SignalError
-from tcbi_infer.compare.signals import JOINT
+from tcbi_infer.compare.worst import MOMENTS
 from tcbi_infer.report import plots
+from tcbi_infer.report.body import body_figures
 from tcbi_infer.report.drawing import robot
 from tcbi_infer.report.maps import curves as condition_plots
 from tcbi_infer.report.maps import heat_map
@@ -18,7 +19,6 @@ from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_infer.report.sections import add_ladder
 from tcbi_sim.rigs import load_rig
 
-WORST_S, MOMENTS = 1.5, 10  # s, length of a moment shown; how many there are room for
 HEAD = ("signal", "unit", "error", "noise floor", "ratio", "share inside 90 % band", "CRPS", "floor from")
 
 
@@ -51,12 +51,17 @@ def add_comparison(
         add_ladder(report, errors, told(rungs), c.floor.from_replicates)
     _add_places(report, c, after)
     text = [
-        "Where the prediction departs most. The line is the prediction at the mean parameters, the band holds 90 % of "
-        "what the model thinks possible, noise included."
+        "Where the prediction of joints, attitude and rates departs most, each over its own noise floor. The line is "
+        "the prediction at the mean parameters, the band holds 90 % of what the model thinks possible, noise included."
     ]
     worst = _worst(c, after)
     title = "The ten worst moments" if len(worst) == MOMENTS else "The worst moments"
     report.add(Section(title, text=text, figures=worst))
+    body = body_figures(c)
+    if body:
+        text = ["Each where it errs most: the rollout and the seconds around its worst moment."]
+        fold = "Measured and predicted " + ", ".join(f.caption.partition(" in ")[0].lower() for f in body)
+        report.add(Section("The body", text=text, figures=body, folded_figures=fold))
     if c.statistics:
         report.add(_figures_of("What the task is about", c.statistics, folded=False))
     report.add(_figures_of("Every signal", c.signals, folded=True))
@@ -127,15 +132,12 @@ def _figures_of(title: str, errors: Sequence[SignalError], folded: bool) -> Sect
     )
 
 
-def _worst(c: Comparison, after: Comparison | None, count: int = MOMENTS) -> list[Figure]:
-    layout, replay = c.replay.layout, c.replay
-    span = min(len(replay.time), round(WORST_S * layout.rate))
-    firsts = [g.members[0] for g in replay.replicates]  # replicates would show the same moment again
-    residual = (replay.measured - c.predicted)[firsts]
+def _worst(c: Comparison, after: Comparison | None) -> list[Figure]:
     figures = []
-    for s, t, i in worst_moments(residual, c.floor.values, layout.where(JOINT), count, span):
-        r = firsts[s]
-        caption = f"{layout.channels[i].name} in {replay.measurements[r].rollout_id}."
+    for moment in c.worst:
+        r, t, i = moment.index
+        span = int(np.sum((c.replay.time >= moment.time) & (c.replay.time <= moment.until)))
+        caption = f"{moment.signal} in {moment.rollout}: {moment.error_over_floor:.1f} times the noise floor."
         figures.append(Figure(_overlay(c, after, r, t, i, span), caption))
     return figures
 

@@ -48,6 +48,7 @@ class Section:
       notes: sentences shown as a list, numbered if `ordered`.
       verdict: a highlighted sentence, with `tone` "good", "warn" or "neutral".
       folded: the table is hidden behind a click.
+      folded_figures: what a click shows the figures for; "" if they stand open.
     """
 
     title: str
@@ -58,6 +59,7 @@ class Section:
     verdict: str = ""
     tone: str = "neutral"
     folded: bool = False
+    folded_figures: str = ""
     ordered: bool = False
 
 

@@ -124,6 +124,27 @@ def overlay(
         return to_svg(figure)
 
 
+def stacked(time: np.ndarray, rows: Sequence[tuple[str, Sequence[np.ndarray]]]) -> str:
+    """Several signals of one kind over one time, below each other, each with its predictive 90 % band.
+
+    Args:
+      time: (T,) s.
+      rows: label with unit, and measured, predicted, low, high, each (T,).
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Canvas(figsize=(WIDE, 0.7 + 1.1 * len(rows)), layout="constrained")
+        panels = figure.subplots(len(rows), sharex=True, squeeze=False)[:, 0]
+        for axes, (label, (measured, predicted, low, high)) in zip(panels, rows, strict=True):
+            axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="90 % band")
+            axes.plot(time, predicted, color=BLUE, label="predicted")
+            axes.plot(time, measured, color=ORANGE, ls="--", label="measured")
+            axes.set_ylabel(label)
+            axes.margins(x=0)
+        panels[-1].set_xlabel("time / s")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, handlelength=1.8)
+        return to_svg(figure)
+
+
 def _stretches(mask: np.ndarray) -> list[tuple[int, int]]:
     """First and one past the last index of each run of true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
