@@ -14,7 +14,9 @@ from tcbi_infer.diagnose.evidence import (
     Evidence,
     ParameterEstimate,
 )
+from tcbi_infer.diagnose.judge import at_bound
 from tcbi_infer.diagnose.verdict import accept, ranked, rule
+from tcbi_sim.parameter import Parameter
 
 GAINS = (40.0, 45.0, 38.0, 42.0, 41.0, 44.0)
 
@@ -149,3 +151,26 @@ def test_sealed_motions_that_contradict_the_others_leave_the_verdict_open():
     assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("joint_offset:lm_coxa",)) and "sealed" in ruling.statement
     neither = dataclasses.replace(found, held_out=(2.5, 2.45))
     assert ruled(neither, base_error=2.5).verdict == NOTHING_MISSING
+
+
+def test_a_base_fit_that_did_not_converge_names_no_effect():
+    (best,) = ranked([dataclasses.replace(evidence("backlash"), accepted=True)])
+    ruling = rule([best], 6.0, 6, 28.0, base_converged=False)
+    assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("backlash",))
+    assert "did not converge, and backlash may only make up for that" in ruling.statement
+    assert rule([], 6.0, 6, 28.0, base_converged=False).verdict == CANNOT_TELL
+    assert rule([], 1.2, 6, 28.0, base_converged=False).verdict == NOTHING_MISSING
+
+
+@pytest.mark.parametrize(
+    ("null", "unit", "told"), [(None, 0.0, True), (None, 0.5, False), (0.0, 0.0, False), (0.0, 1.0, True)]
+)
+def test_a_value_at_the_end_of_its_range_is_marked_unless_that_is_where_the_effect_vanishes(null, unit, told):
+    parameter = Parameter("torque", "N m", 0.0, 2.0, nominal=0.5, null=null)
+    assert at_bound(parameter, unit) is told
+
+
+def test_the_json_says_whether_an_interval_leaves_the_null_value_out():
+    assert ParameterEstimate("gap", "rad", 0.5, 0.4, 0.6, 0.0).to_json()["excludes_null"] is True
+    assert ParameterEstimate("gap", "rad", 0.5, -0.1, 0.6, 0.0).to_json()["excludes_null"] is False
+    assert ParameterEstimate("mass", "kg", 0.5, 0.4, 0.6, None).to_json()["excludes_null"] is None

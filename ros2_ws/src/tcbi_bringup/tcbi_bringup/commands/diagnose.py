@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
-from tcbi_contract.wording import counted, with_unit
+from tcbi_contract.wording import counted
 
 if TYPE_CHECKING:
     from tcbi_infer.diagnose import Diagnosis
@@ -88,13 +88,12 @@ def _print(d: "Diagnosis", path: Path) -> None:
     head = ["effect", "held-out gain", "s.e.", "gain / s.e.", "error before", "after", "size (90 % interval)"]
     rows = []
     for e in d.ranking[:10]:
-        sizes = "; ".join(
-            with_unit(f"{p.name.rpartition('.')[2]} {p.value:.3g} ({p.low90:.3g} to {p.high90:.3g})", p.unit)
-            for p in e.parameters
-        )
         after = e.error_after if e.refined else None
-        rows.append([e.use, e.elpd_gain, e.elpd_se, e.statistic, e.error_before, after, sizes or "screened only"])
+        rows.append([e.use, e.elpd_gain, e.elpd_se, e.statistic, e.error_before, after, e.sizes_in_words()])
     console.table(f"{d.model}: candidates, best first", head, rows)
+    for e in (e for e in d.ranking if e.refined):
+        alike = f"; looks like {', '.join(e.confused_with)}" if e.confused_with else ""
+        print(f"  {e.use}: {'accepted' if e.accepted else 'not accepted: ' + e.reason}{alike}")
     if d.detectable:
         console.table(detectable.TITLE, detectable.HEAD, detectable.rows(d.detectable))
     print(f"{d.verdict}: {d.statement}")

@@ -175,7 +175,8 @@ class WhyView(View):
             )
         with card("The candidates in figures"):
             columns = {"use": "effect", "gain": "held-out gain / nats", "se": "s.e.", "before": "error before",
-                       "after": "after", "size": "size (90 % interval)", "why": "accepted?"}  # fmt: skip
+                       "after": "after", "size": "size (90 % interval)", "why": "accepted?",
+                       "alike": "looks like"}  # fmt: skip
             rows = [
                 {
                     "use": e["use"],
@@ -185,6 +186,7 @@ class WhyView(View):
                     "after": charts.number(e["error_after"]) if e["refined"] else "–",
                     "size": "; ".join(_size(p) for p in e["parameters"]) or "screened only",
                     "why": "yes" if e["accepted"] else e["reason"],
+                    "alike": ", ".join(e["confused_with"]),
                 }
                 for e in d["ranking"]
             ]

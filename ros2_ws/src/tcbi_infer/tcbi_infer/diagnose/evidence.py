@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from tcbi_contract.wording import with_unit
+
 EFFECT, CANNOT_TELL = "effect", "cannot_tell"
 NOTHING_MISSING, OUTSIDE_LIBRARY = "nothing_missing", "outside_library"
 HEADLINES = {
@@ -18,7 +20,11 @@ HEADLINES = {
 
 @dataclasses.dataclass(frozen=True)
 class ParameterEstimate:
-    """A fitted parameter with its 90 % interval."""
+    """A fitted parameter with its 90 % interval.
+
+    Attributes:
+      at_bound: the fit stopped at an end of the range that is not the null value: the interval is one-sided.
+    """
 
     name: str
     unit: str
@@ -26,11 +32,16 @@ class ParameterEstimate:
     low90: float
     high90: float
     null: float | None
+    at_bound: bool = False
 
     @property
     def excludes_null(self) -> bool:
         """Whether the interval stays away from where the effect vanishes; False for a parameter without a null."""
         return self.null is not None and not self.low90 <= self.null <= self.high90
+
+    def to_json(self) -> dict[str, Any]:
+        """The fields, and whether the interval leaves the null value out (None without one)."""
+        return {**dataclasses.asdict(self), "excludes_null": self.excludes_null if self.null is not None else None}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,9 +84,18 @@ class Evidence:
     values: tuple[float, ...] = ()
     spread: tuple[tuple[float, ...], ...] = ()
 
+    def sizes_in_words(self) -> str:
+        """Its parameters with their 90 % intervals, for a table."""
+        told = [
+            with_unit(f"{p.name.rpartition('.')[2]} {p.value:.3g} ({p.low90:.3g} to {p.high90:.3g})", p.unit)
+            + (", at the end of its range" if p.at_bound else "")
+            for p in self.parameters
+        ]
+        return "; ".join(told) or "screened only"
+
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""
-        return {**dataclasses.asdict(self), "parameters": [dataclasses.asdict(p) for p in self.parameters]}
+        return {**dataclasses.asdict(self), "parameters": [p.to_json() for p in self.parameters]}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,6 +215,37 @@ class Leftover:
 
 
 @dataclasses.dataclass(frozen=True)
+class KindValue:
+    """What one kind of motion alone would have a parameter be, with its 90 % interval."""
+
+    kind: str
+    value: float
+    low90: float
+    high90: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Agreement:
+    """Whether the kinds of motion agree on a parameter.
+
+    Attributes:
+      value: common to all.
+      agrees: None where too few kinds know the parameter.
+      statement: in a sentence.
+      kinds: those that know it alone.
+      p: how often errors of this size, unrelated to the parameter, scatter the values as far; None where not tested.
+    """
+
+    name: str
+    unit: str
+    value: float
+    agrees: bool | None
+    statement: str
+    kinds: tuple[KindValue, ...]
+    p: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """The verdict and everything that it rests on.
 
@@ -210,6 +261,7 @@ class Diagnosis:
       detectable: the smallest size of each effect that these rollouts could have shown, or why none.
       next_motions: what to record where the rollouts cannot tell, or to show an effect that was asked for; best first.
       leftover: what the error of the model that the verdict rests on goes with.
+      agreement: use ("" the base model) -> whether the kinds of motion agree on each parameter of the fitted model.
     """
 
     model: str
@@ -233,6 +285,7 @@ class Diagnosis:
     detectable: tuple[DetectableSize, ...] = ()
     next_motions: tuple[NextMotion, ...] = ()
     leftover: Leftover | None = None
+    agreement: dict[str, tuple[Agreement, ...]] = dataclasses.field(default_factory=dict)
 
     def moments_json(self) -> list[dict[str, Any]]:
         """The moments, to five digits."""

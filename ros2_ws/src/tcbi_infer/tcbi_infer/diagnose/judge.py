@@ -22,6 +22,9 @@ from tcbi_infer.diagnose.heldout import HeldOut, fold_indices, held_out, interva
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
+from tcbi_sim.parameter import Parameter
+
+AT_BOUND = 0.01  # of a range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,8 +102,8 @@ class Judge:
         low, high, covariance = intervals(fit, after.held, drift, after.error)
         lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)
         parameters = tuple(
-            ParameterEstimate(p.name, p.unit, float(fit.parameters[i]), float(lows[i]), float(highs[i]), p.null)
-            for i, p in enumerate(fit.model.parameters)
+            ParameterEstimate(p.name, p.unit, float(value), float(lows[i]), float(highs[i]), p.null, at_bound(p, unit))
+            for i, (p, value, unit) in enumerate(zip(fit.model.parameters, fit.parameters, fit.unit, strict=True))
         )
         return Evidence(
             effect=use.partition(":")[0],
@@ -143,6 +146,12 @@ class Judge:
                 )
             )
         return found
+
+
+def at_bound(parameter: Parameter, unit: float) -> bool:
+    """Whether a value in [0, 1] stands at an end of the range that is not the null value."""
+    null = None if parameter.null is None else float(parameter.to_unit(parameter.null))
+    return any(abs(unit - end) < AT_BOUND and (null is None or abs(null - end) >= AT_BOUND) for end in (0.0, 1.0))
 
 
 def screened(use: str, gains: np.ndarray, sizes: np.ndarray, error_before: float) -> Evidence:

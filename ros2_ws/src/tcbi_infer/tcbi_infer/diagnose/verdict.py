@@ -113,7 +113,9 @@ def ranked(judged: Sequence[Evidence]) -> list[Evidence]:
     return sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
 
 
-def rule(ranking: Sequence[Evidence], base_error: float, kinds: int, unfitted: float) -> Ruling:
+def rule(
+    ranking: Sequence[Evidence], base_error: float, kinds: int, unfitted: float, base_converged: bool = True
+) -> Ruling:
     """The verdict.
 
     Args:
@@ -121,6 +123,7 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int, unfitted: f
       base_error: held-out error over the floor of the refitted base model.
       kinds: of motion.
       unfitted: error over the floor of the model as it was.
+      base_converged: whether the base model's own fit did; a bad one looks like a missing effect.
     """
     accepted = [e for e in ranking if e.accepted]
     if kinds < 2:
@@ -130,6 +133,14 @@ def rule(ranking: Sequence[Evidence], base_error: float, kinds: int, unfitted: f
             "These rollouts show one kind of motion, so that no fit can be tried on another and nothing is told: "
             f"fitted to it, the model still errs by {base_error:.1f} times the noise floor. Record {MIN_KINDS} kinds "
             "of motion or more, each twice.",
+        )
+    if not base_converged and (accepted or base_error > WELL_PREDICTED):
+        best = f", and {accepted[0].use} may only make up for that" if accepted else ""
+        return Ruling(
+            CANNOT_TELL,
+            tuple(e.use for e in accepted[:1]),
+            f"The fit of the base model did not converge{best}: it errs by {base_error:.1f} times the noise floor. "
+            "Begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions.",
         )
     if not accepted:
         return _none_accepted(ranking, base_error, kinds, unfitted)
