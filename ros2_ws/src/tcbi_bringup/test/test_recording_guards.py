@@ -9,9 +9,13 @@ from tcbi_bringup.emulated_robot.as_measurement import measure
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
 from tcbi_infer.collection import Request, scenario_of
 from tcbi_infer.compare.clocks import Following, aligned
+from tcbi_infer.compare.common_lag import common_lag
+from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard
+from tcbi_infer.compare.signals import Layout
 from tcbi_policy.gaits import Gait
 from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import base_model
 
 LATENCY = "command_latency"
 
@@ -145,3 +149,36 @@ def test_a_latency_of_some_joints_is_an_effect_and_stays(clean, joints):
     rollouts = [clean[0], with_joints(m, delayed), *clean[2:]]
     assert guard(rollouts) == []
     assert aligned(rollouts).measurements[1] is rollouts[1]
+
+
+def late_against(predicted: list[Measurement], measured: list[Measurement]) -> list[str]:
+    """The finding about rollouts that another recording of the same motions predicts."""
+    layout, time = Layout.of(predicted), np.arange(1, 200) / 50.0
+    seen, said = (np.stack([layout.extract(m.resampled(time)) for m in each]) for each in (measured, predicted))
+    return common_lag(layout, time, seen, said, [m.rollout_id for m in measured])
+
+
+def test_the_robot_predicted_by_its_own_repeat_has_no_common_lag(clean):
+    assert late_against(clean[::2], clean[1::2]) == []
+
+
+def test_the_base_model_finds_no_common_lag_in_a_clean_recording(clean):
+    guards = compare(base_model("hexapod"), clean, particles=0).guards
+    assert not any("later than predicted" in g for g in guards)
+
+
+def test_stamps_that_are_late_and_a_robot_that_is_late_look_the_same(clean):
+    (stamps,) = late_against(clean[::2], [late(m, 0.08) for m in clean[1::2]])
+    assert "come 80 ms later than predicted" in stamps
+    (robot,) = late_against(clean[::2], recorded(LATENCY)[1::2])
+    assert robot.startswith("All signals") and "these recordings cannot tell which" in robot
+
+
+@pytest.mark.parametrize("joints", [[7], [1, 4, 7, 10, 13, 16], list(range(18))])
+def test_joints_that_lag_alone_are_no_common_lag(clean, joints):
+    slow = []
+    for m in clean[1::2]:
+        delayed = m.joint_position.copy()
+        delayed[4:, joints] = m.joint_position[:-4, joints]
+        slow.append(with_joints(m, delayed))
+    assert late_against(clean[::2], slow) == []

@@ -38,7 +38,6 @@ class Whole:
         if STILL in joints:
             still = np.asarray(joints[STILL].all(axis=-1))
             masks = {STILL: still, MOVING: ~still}
-        # .all(axis=-1), MOVING: ~joints[STILL].all(axis=-1)} if STILL in joints else {}
         read: set[str] = set()
         for condition in conditions:
             known = np.isfinite(condition.values)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tcbi_infer.compare import task
+from tcbi_infer.compare.common_lag import common_lag
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.findings import Finding, Moment
 from tcbi_infer.compare.guards import guard
@@ -126,7 +127,9 @@ def compare(
     scorer = Scorer(replay, floor, predicted, _task_mean(task.predicted(replay, rollouts, _all(replay))))
     for sets in _chunks(replay, len(draws)):
         scorer.take(sets, replay.simulate(model, draws, sets, timestep))
-    findings = guard(measurements) + _idle_parameters(model, replay, mean, floor.values)
+    names = tuple(m.rollout_id for m in replay.measurements)
+    findings = guard(measurements) + common_lag(replay.layout, replay.time, replay.measured, predicted, names)
+    findings += _idle_parameters(model, replay, mean, floor.values)
     if not np.isfinite(predicted).any():
         findings.append("The simulation at the model's mean parameters diverged, so there is no prediction.")
     where = locate(
@@ -134,7 +137,7 @@ def compare(
     )
     return Comparison(
         model.version,
-        tuple(m.rollout_id for m in replay.measurements),
+        names,
         (*scorer.channel_errors(), *scorer.task_errors(signals=True)),
         scorer.task_errors(signals=False),
         error_over_floor(replay.layout, residual, floor.values),

@@ -1,0 +1,94 @@
+"""A lag of all signals against the prediction is a finding; one of joints alone, or of a few, is none."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from legged_cases import walk
+
+from tcbi_infer.compare.common_lag import common_lag, signal_lags
+from tcbi_infer.compare.comparison import compare
+from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.signals import ATTITUDE, JOINT, RATE
+from tcbi_sim.model import base_model
+
+MODEL = base_model("hexapod")
+
+
+@pytest.fixture(scope="module")
+def replay():
+    return Replay.of(MODEL, walk())
+
+
+def delayed(replay, by, channels=None):
+    """The (R, T, C) signals `by` s late: all, or the channels given."""
+    values = replay.measured.copy()
+    for r, c in np.ndindex(len(values), values.shape[2]):
+        if channels is None or c in channels:
+            values[r, :, c] = np.interp(replay.time - by, replay.time, replay.measured[r, :, c])
+    return values
+
+
+def found(replay, measured):
+    names = [m.rollout_id for m in replay.measurements]
+    return common_lag(replay.layout, replay.time, measured, replay.measured, names)
+
+
+@pytest.mark.parametrize("by", [0.03, 0.08, 0.2])
+def test_a_lag_of_all_signals_is_told_with_its_size(replay, by):
+    (sentence,) = found(replay, delayed(replay, by))
+    assert f"come {1000 * by:.0f} ms later than predicted:" in sentence and "cannot tell which" in sentence
+
+
+@pytest.mark.parametrize("by", [0.0, 0.02, -0.08])
+def test_a_small_lag_or_a_lead_is_none(replay, by):
+    assert found(replay, delayed(replay, by)) == []
+
+
+@pytest.mark.parametrize("groups", [(JOINT,), (ATTITUDE, RATE)])
+def test_joints_or_body_alone_are_no_common_lag(replay, groups):
+    measured = delayed(replay, 0.08, set(replay.layout.where(*groups)))
+    lags = signal_lags(replay.time, measured[0], replay.measured[0])
+    assert np.nanmedian(lags[replay.layout.where(*groups)]) == pytest.approx(0.08, abs=0.006)
+    assert found(replay, measured) == []
+
+
+def test_body_and_joints_with_different_lags_do_not_agree(replay):
+    both = delayed(replay, 0.06)
+    joints = replay.layout.where(JOINT)
+    both[..., joints] = delayed(replay, 0.1)[..., joints]
+    assert found(replay, both) == []
+
+
+def test_signals_that_were_not_measured_or_have_gaps_do_not_hide_it(replay):
+    measured = delayed(replay, 0.08)
+    measured[..., replay.layout.index("acceleration_x")] = np.nan
+    measured[:, :8] = np.nan
+    measured[1:, 90:] = np.nan
+    assert len(found(replay, measured)) == 1
+
+
+def test_rollouts_that_are_late_are_named_where_others_are_not(replay):
+    measured = delayed(replay, 0.08)
+    measured[3] = replay.measured[3]
+    assert "(motion0_0, motion0_1, motion1_0)" in found(replay, measured)[0]
+    measured[:3] = replay.measured[:3]
+    assert found(replay, measured) == []
+    measured[0] = delayed(replay, 0.08)[0]
+    assert found(replay, measured) == [], "one of four"
+
+
+def test_a_robot_without_an_imu_has_no_common_lag(replay):
+    measured = delayed(replay, 0.08)
+    measured[..., replay.layout.where(ATTITUDE, RATE)] = np.nan
+    assert found(replay, measured) == []
+
+
+def test_compare_says_it_of_stamps_that_are_all_late_and_of_nothing_else():
+    clean = walk(repeats=1)
+    late = [dataclasses.replace(m, time=m.time + 0.08) for m in clean]
+    words = "All signals, joints and body alike, come 80 ms later than predicted"
+    assert any(words in guard for guard in compare(MODEL, late, particles=0).guards)
+    joints = [dataclasses.replace(m, joint_position=np.roll(m.joint_position, 4, axis=0)) for m in clean]
+    for rollouts in (clean, joints):
+        assert not any("later than predicted" in guard for guard in compare(MODEL, rollouts, particles=0).guards)
