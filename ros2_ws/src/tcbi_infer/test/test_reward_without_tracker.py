@@ -37,7 +37,7 @@ def test_the_reward_statistic_of_walking_needs_no_tracker(tracked: list[Measurem
     problem = Problem.of(MODEL, untracked(tracked), **REWARD)
     returns = [episode_reward(m).total / len(m.commands.time) for m in tracked]
     assert np.sort(problem.real_samples[0]) == pytest.approx(np.sort(returns))
-    (rollouts,), valid = problem._rollouts(MODEL.to_unit(MODEL.mean()[None]))
+    (rollouts,), valid = problem.rollouts(MODEL.to_unit(MODEL.mean()[None]))
     assert valid.all() and rollouts.position is None
     again = library()["reward"].compute(rollouts)[0, :, 0, 0]
     assert again == pytest.approx(returns, abs=1.0)  # less the sensors' noise
@@ -48,7 +48,7 @@ def test_one_distance_forgotten_costs_that_rollout_alone_and_all_forgotten_are_n
 ) -> None:
     problem = Problem.of(MODEL, untracked(tracked, np.nan, 0.1), **REWARD)
     assert len(problem.real_samples[0]) == 1
-    (rollouts,), _ = problem._rollouts(MODEL.to_unit(MODEL.mean()[None]))
+    (rollouts,), _ = problem.rollouts(MODEL.to_unit(MODEL.mean()[None]))
     assert np.isfinite(library()["reward"].compute(rollouts)).sum() == 1
     with pytest.raises(InferError, match="neither a position nor a distance at the end"):
         Problem.of(MODEL, untracked(tracked, np.nan, np.nan), **REWARD)

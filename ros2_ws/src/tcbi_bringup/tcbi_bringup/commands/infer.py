@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
+    from tcbi_infer.tcbi.advice import Advice
     from tcbi_infer.tcbi.driver import Progress
     from tcbi_infer.tcbi.method import Method
+    from tcbi_infer.tcbi.problem import Problem
     from tcbi_infer.tcbi.result import Result
 
 SUMMARY = "Infer a model's parameters from bags (task-consistent Bayesian inference) and save them as a new version."
@@ -21,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi infer rollouts/* --model hexapod-v1 --json",
         "./tcbi infer rollouts/* --method paper               # Algorithm 1 as published",
         "./tcbi infer rollouts/* --generations 12             # a narrower posterior, if the data allow it",
+        "./tcbi infer rollouts/* --advise                     # and what to record for what they do not tell",
         "./tcbi infer rollouts/* --method simopt              # a method to compare with",
         "./tcbi infer rollouts/* --method paper --set alpha=5 # a setting of the method's own",
         "./tcbi infer rollouts/* --workers ray:HOST:6379      # on a Ray cluster (docs/scale.md)",
@@ -75,6 +78,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="a parameter's true value, where it is known: the report shows the error; may be repeated",
     )
+    parser.add_argument(
+        "--advise",
+        action="store_true",
+        help="then simulate motions that could be recorded, and say for each parameter that the data do not identify "
+        "which of them would tell it; takes a minute or two for the hexapod",
+    )
     console.add_workers(parser)
     console.add_report(parser)
     console.add_store(parser)
@@ -111,6 +120,8 @@ def run(args: argparse.Namespace) -> int:
     method, store = find_method(args.method), ModelStore(args.store)
     if args.statistics and not method.by_task:
         raise InferError(f"method {method.name} looks at trajectories, not at statistics; leave --statistics out")
+    if args.advise and not method.judges:
+        raise InferError(f"method {method.name} does not judge what the data tell; leave --advise out")
     measurements = read_measurements(args.bags)[: args.rollouts]
     for finding in guard(measurements):
         console.note(f"note: {finding}")
@@ -143,15 +154,32 @@ def run(args: argparse.Namespace) -> int:
     saved = posterior.save(store, result)
     for line in result.warnings:
         console.note(line)
+    advice = _advice(problem, result) if args.advise else None
     report = Report(f"What {saved.version} knows", f"Posterior of {model.version}, inferred by {method.name}.")
-    add_inference(report, result, method, truth)
+    add_inference(report, result, method, truth, advice)
     path = report.write(args.report or store.models / saved.version / "inference.html")
     if args.json:
-        console.emit({**as_json(result, saved.version), "report": str(path)})
+        advised = {} if advice is None else {"advice": [a.as_json() for a in advice]}
+        console.emit({**as_json(result, saved.version), **advised, "report": str(path)})
     else:
         _print(result, method, saved.version)
+        for a in advice or ():
+            print(a.line())
         print(f"report: {path}")
     return 0
+
+
+def _advice(problem: "Problem", result: "Result") -> "tuple[Advice, ...]":
+    from tcbi_infer.tcbi.advice import advise, hindrance
+
+    if all(e.identified for e in result.estimates):
+        console.note("the data identify every parameter; nothing needs to be recorded for them")
+        return ()
+    if why := hindrance(result):
+        console.note(why)
+        return ()
+    with console.progress("trying motions", total=1.0) as advance:
+        return advise(problem, result, lambda share, motion: advance(done=share, note=motion))
 
 
 def _known(truth: list[tuple[str, float]], names: tuple[str, ...]) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """What an inference contributes to a report: the posterior beside the prior, and how it came about."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
@@ -11,6 +11,7 @@ from tcbi_infer.report.plots import BLUE, GREY, INK, ORANGE, STYLE, canvas, to_s
 from tcbi_infer.tcbi.result import LEAST_ESS
 
 if TYPE_CHECKING:
+    from tcbi_infer.tcbi.advice import Advice
     from tcbi_infer.tcbi.method import Method
     from tcbi_infer.tcbi.result import Estimate, Result
 
@@ -22,7 +23,13 @@ NARROW = (
 Truth = Mapping[str, float]
 
 
-def add_inference(report: Report, result: "Result", method: "Method", truth: Truth | None = None) -> None:
+def add_inference(
+    report: Report,
+    result: "Result",
+    method: "Method",
+    truth: Truth | None = None,
+    advice: "Sequence[Advice] | None" = None,
+) -> None:
     """Verdict and table, posterior beside prior, generations.
 
     Args:
@@ -30,6 +37,7 @@ def add_inference(report: Report, result: "Result", method: "Method", truth: Tru
       result: of an inference.
       method: that inferred.
       truth: values of parameters where they are known.
+      advice: what to record for parameters that are not identified; None where nobody asked.
     """
     known = truth or {}
     told = [e.name for e in result.estimates if e.identified]
@@ -46,6 +54,8 @@ def add_inference(report: Report, result: "Result", method: "Method", truth: Tru
     tone = "good" if told else "neutral"
     notes = list(result.warnings)
     report.add(Section("What the rollouts say", text, notes, verdict=verdict, tone=tone, table=Table(head, rows)))
+    if advice:
+        report.add(_advice(advice))
     figures = [
         Figure(_densities(result, i, known), f"{e.name}: prior and posterior.") for i, e in enumerate(result.estimates)
     ]
@@ -53,6 +63,17 @@ def add_inference(report: Report, result: "Result", method: "Method", truth: Tru
     report.add(Section("Posterior beside prior", [explain], figures=figures))
     if result.generations:
         report.add(_generations(result, known))
+
+
+def _advice(advice: "Sequence[Advice]") -> Section:
+    head = ("parameter", "motion", "", "variance left", "would it tell?", "command")
+    rows = [(a.parameter, a.motion, a.description, f"{a.left:.0%}", a.tells, a.command) for a in advice]
+    text = (
+        "For each parameter that the data do not identify, the motion that shows it best among draws of the posterior, "
+        "and how much of its variance two recordings of that motion would leave. This comes from simulations of this "
+        "model, with as much noise as the rollouts differ from theirs."
+    )
+    return Section("What to record next", [text], table=Table(head, rows))
 
 
 def posterior_rows(result: "Result", method: "Method") -> list[list[Any]]:

@@ -173,7 +173,7 @@ class Problem:
         chunks = [unit[begin : begin + step] for begin in range(0, len(unit), step)]
         return _joined(present().map(functools.partial(_seen, self, seen), chunks, progress))
 
-    def _rollouts(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
+    def rollouts(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
         """Simulated rollouts of each group, and (N,) whether none of a particle's diverged."""
         groups: list[RolloutArrays] = []
         valid = np.ones(len(unit), bool)
@@ -196,7 +196,7 @@ class Problem:
 
 def _seen(problem: Problem, view: "View", unit: np.ndarray) -> Any:
     """What a method keeps of some particles' rollouts: little beside these, which stay where they were simulated."""
-    return view(problem, *problem._rollouts(unit))
+    return view(problem, *problem.rollouts(unit))
 
 
 def _joined(parts: list[Any]) -> Any:

@@ -1,0 +1,190 @@
+"""What to record next: the motion that would tell what these rollouts leave open, parameter by parameter.
+
+    for advice in advise(problem, result):
+        advice.parameter, advice.motion, advice.left, advice.command
+
+Draws of the posterior are simulated on motions that are ready to be recorded. Were the motion recorded, its statistics
+would tell the parameter as well as they do among these draws: a ridge regression of the parameter on them, judged on
+the draws left out one by one, leaves a share of its variance unexplained. Simulations alone would tell anything, so
+the statistics get noise first: as much as the recorded rollouts differ from their own simulations.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tcbi_contract.names import SLOPE_LIMIT
+from tcbi_infer.diagnose.motions import STILL, Motion, gait_motion, ready_motions
+from tcbi_infer.statistics import RolloutArrays, Statistic, from_measurements
+from tcbi_infer.tcbi.features import samples
+from tcbi_infer.tcbi.prior import Prior
+from tcbi_infer.tcbi.problem import Problem, with_noise
+from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, LEAST_ESS, Result
+from tcbi_policy.gaits import GAITS
+from tcbi_policy.reward import inclination
+from tcbi_sim.engine import simulate
+from tcbi_sim.rigs import load_rig
+
+DRAWS = 60  # of the posterior, on every motion
+FEWEST = 30  # of them that a regression is made of
+REPEATS = 2  # that a motion is recorded, as its command does
+FALLEN, MOST_FALLEN = 1.0, 0.1  # rad of inclination; share of the draws
+STIFFNESS = np.geomspace(1e-4, 1e3, 15)  # of the regression, times the features' mean square
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to record for a parameter that the data do not identify."""
+
+    parameter: str
+    left: float  # expected share of its present variance, on the parameter's scale
+    tells: bool  # whether that is little enough; if not, no motion that was tried would tell it
+    motion: str = ""  # the best one
+    description: str = ""
+    command: str = ""  # of the shell; "" where the rig has no recorder of its own
+
+    def line(self) -> str:
+        """For people."""
+        if not self.motion:
+            return f"{self.parameter}: no motion could be tried"
+        best = f"{self.motion} ({self.description})"
+        if not self.tells:
+            return (
+                f"{self.parameter}: none of the motions that were tried would tell; the best, {best}, would leave "
+                f"{self.left:.0%} of its variance"
+            )
+        return f"{self.parameter}: {best} would leave {self.left:.0%} of its variance" + (
+            f"\n  {self.command}" if self.command else ""
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Every field."""
+        return asdict(self)
+
+
+def hindrance(result: Result) -> str:
+    """ "" or why no advice can be given."""
+    if not result.fits:
+        return "no advice on what to record: the model fits poorly, and an effect may be missing (./tcbi diagnose)"
+    if result.ess < LEAST_ESS:
+        return f"no advice on what to record: fewer than {LEAST_ESS} effective particles; take more generations first"
+    return ""
+
+
+def advise(
+    problem: Problem,
+    result: Result,
+    progress: Callable[[float, str], None] = lambda share, motion: None,
+    motions: Sequence[Motion] | None = None,
+) -> tuple[Advice, ...]:
+    """The best motion for each parameter that is not identified.
+
+    Args:
+      problem: the rollouts at hand.
+      result: what was inferred from them.
+      progress: called with the share done and the motion at work.
+      motions: to choose from; those that `candidates` finds by default.
+    """
+    unsure = [i for i, e in enumerate(result.estimates) if not e.identified]
+    if not unsure or hindrance(result):
+        return ()
+    tried = candidates(problem) if motions is None else motions
+    rng = np.random.default_rng(problem.seed)
+    unit = Prior.of(result.updated_model()).unit(rng.random((DRAWS, len(problem.model.names))))
+    noise = residuals(problem, np.exp(result.log_weights) @ result.unit)
+    left = np.ones((len(tried), len(unsure)))
+    for k, motion in enumerate(tried):
+        progress(k / len(tried), motion.name)
+        kept, seen = statistics_of(problem, motion, unit, noise, rng)
+        if len(kept) >= FEWEST:
+            left[k] = [unexplained(seen, unit[kept, i]) for i in unsure]
+    progress(1.0, "")
+    return tuple(_best(result.estimates[i].name, left[:, j], tried) for j, i in enumerate(unsure))
+
+
+def _best(parameter: str, left: np.ndarray, motions: Sequence[Motion]) -> Advice:
+    if not len(motions):
+        return Advice(parameter, 1.0, False)
+    k = int(np.argmin(left))
+    m, share = motions[k], float(left[k])
+    return Advice(parameter, share, share < IDENTIFIED_BELOW, m.name, m.description, m.command)
+
+
+def candidates(problem: Problem) -> list[Motion]:
+    """Motions that are ready, and gaits on a slope half way between the steepest recorded one and the limit."""
+    measurements = [m for group in problem.groups for m in group.measurements]
+    ready = ready_motions(load_rig(problem.model.rig), measurements)
+    if not any(motion.name.startswith("gait:") for motion in ready):
+        return ready
+    steepest = max(max(abs(m.scenario.slope_roll), abs(m.scenario.slope_pitch)) for m in measurements)
+    slope = round((steepest + SLOPE_LIMIT) / 2, 2)
+    words = f"; on a slope of {np.degrees(slope):.0f}°"
+    steep = [gait_motion(name, 0.0, slope, ready[0].scenario.duration) for name in GAITS if name not in STILL]
+    return [*ready, *(replace(motion, description=motion.description + words) for motion in steep)]
+
+
+def features(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
+    """(N, S, 2 C) mean and standard deviation of each channel in each rollout, NaN where it has no sample."""
+    values = samples(statistic, arrays)
+    known = np.isfinite(values)
+    count = np.where(known.any(axis=-1), known.sum(axis=-1), np.nan)
+    mean = np.where(known, values, 0.0).sum(axis=-1) / count
+    square = (np.where(known, values - mean[..., None], 0.0) ** 2).sum(axis=-1) / count
+    return np.concatenate([mean, np.sqrt(square)], axis=-1)
+
+
+def residuals(problem: Problem, unit: np.ndarray) -> dict[str, np.ndarray]:
+    """Statistic -> (2 C,) root mean square, over the rollouts, of measured minus simulated features at (P,) `unit`."""
+    simulated, _ = problem.rollouts(unit[None])
+    found = {}
+    for statistic in problem.statistics:
+        apart = [
+            features(statistic, group.arrays)[0] - features(statistic, arrays)[0]
+            for group, arrays in zip(problem.groups, simulated, strict=True)
+        ]
+        square = np.concatenate(apart) ** 2
+        known = np.isfinite(square)
+        found[statistic.name] = np.sqrt(np.where(known, square, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    return found
+
+
+def statistics_of(
+    problem: Problem, motion: Motion, unit: np.ndarray, noise: dict[str, np.ndarray], rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which (n,) of (M, P) draws have statistics of a motion, and these (n, F), noise added and in units of it."""
+    out = simulate(
+        problem.model, problem.model.from_unit(unit), [motion.scenario], commands=[motion.commands],
+        timestep=problem.timestep, rate=problem.rate, threads=problem.threads,
+    )  # fmt: skip
+    upright = np.ones(len(unit), bool)
+    if out.attitude is not None:
+        upright = np.nan_to_num(inclination(out.attitude[:, 0]), nan=np.inf).max(axis=-1) < FALLEN
+    if upright.mean() < 1 - MOST_FALLEN:
+        return np.zeros(0, int), np.zeros((0, 0))
+    kept = np.flatnonzero(upright & ~out.diverged[:, 0])
+    recorded = [replace(out.measurement(n), commands=motion.commands) for n in kept.tolist()]
+    arrays = with_noise(from_measurements(recorded, recorded[0].time), problem.noise, [rng])
+    columns = []
+    for statistic in problem.statistics:
+        if statistic.missing(arrays):
+            continue
+        values, sd = features(statistic, arrays)[0], noise[statistic.name]
+        usable = (sd > 0) & np.isfinite(values).all(axis=0)
+        columns.append(values[:, usable] / sd[usable] + rng.standard_normal((len(kept), usable.sum())) / REPEATS**0.5)
+    return kept, np.concatenate(columns, axis=1) if columns else np.zeros((len(kept), 0))
+
+
+def unexplained(seen: np.ndarray, value: np.ndarray) -> float:
+    """Share of the variance of (n,) values that a ridge regression on (n, F) features leaves, one by one left out."""
+    x, y, n = seen - seen.mean(axis=0), value - value.mean(), len(value)
+    kernel = x @ x.T
+    scale = np.trace(kernel) / n
+    if scale <= 0 or y.var() <= 0:
+        return 1.0
+    shares = []
+    for stiffness in STIFFNESS:
+        hat = np.linalg.solve(kernel + stiffness * scale * np.eye(n), kernel) + 1 / n
+        shares.append(np.mean(((y - hat @ y) / (1 - np.diag(hat))) ** 2) / y.var())
+    return float(min(1.0, *shares))

@@ -1,0 +1,100 @@
+"""What to record next: the motion that shows what is unknown, not one that tells nothing; no promise against noise."""
+
+import dataclasses
+import shlex
+
+import numpy as np
+import pytest
+from legged_cases import walk
+from tcbi_cases import bench_rollouts
+
+from tcbi_contract.names import SLOPE_LIMIT
+from tcbi_infer.diagnose.motions import Motion
+from tcbi_infer.report import Report, add_inference
+from tcbi_infer.tcbi.advice import Advice, advise, candidates, hindrance, unexplained
+from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.method import METHODS
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.result import Result
+from tcbi_sim.measurement import Commands, Measurement, Scenario
+from tcbi_sim.model import base_model
+
+TIMES = np.arange(0.0, 3.0, 0.4)
+STILL = Motion("hold", "stays where it is", Scenario("hold", 3.0), Commands(TIMES, np.zeros((len(TIMES), 1))))
+STEPS = Motion(
+    "steps", "random steps", STILL.scenario, Commands(TIMES, np.random.default_rng(5).uniform(-1, 1, (len(TIMES), 1)))
+)
+
+
+def open_problem(measurements: list[Measurement]) -> tuple[Problem, Result]:
+    """A problem, and the prior as its posterior: every parameter is open."""
+    problem = Problem.of(bench_rollouts(count=2)[0], measurements, timestep=0.01)
+    return problem, infer(problem, "prior")
+
+
+@pytest.fixture(scope="module")
+def bench() -> tuple[Problem, Result]:
+    return open_problem(bench_rollouts(count=4)[1])
+
+
+def test_the_share_left_is_that_of_the_noise() -> None:
+    rng = np.random.default_rng(0)
+    features = rng.standard_normal((400, 5))
+    value = features[:, 0] + features[:, 1]
+    assert unexplained(features, value) < 0.01
+    assert unexplained(features, value + np.sqrt(2) * rng.standard_normal(400)) == pytest.approx(0.5, abs=0.1)
+    assert unexplained(rng.standard_normal((60, 90)), value[:60]) > 0.85
+    assert unexplained(np.ones((60, 3)), value[:60]) == 1.0
+
+
+def test_a_motion_with_steps_is_advised_before_one_that_holds_still(bench: tuple[Problem, Result]) -> None:
+    told: list[tuple[float, str]] = []
+    advice = advise(*bench, lambda share, motion: told.append((share, motion)), motions=[STILL, STEPS])
+    assert [a.parameter for a in advice] == list(bench[0].model.names)
+    gain = advice[0]
+    assert (gain.motion, gain.tells) == ("steps", True) and gain.left < 0.3
+    assert told == [(0.0, "hold"), (0.5, "steps"), (1.0, "")]
+    alone = advise(*bench, motions=[STILL])
+    assert not any(a.tells for a in alone) and alone[0].left > 0.8
+
+
+def test_where_recordings_differ_from_their_simulations_less_is_promised(bench: tuple[Problem, Result]) -> None:
+    """Every rollout of another robot: what the statistics vary by from one to the next drowns the parameters."""
+    rng = np.random.default_rng(1)
+    others = [bench_rollouts(tuple(rng.uniform(0.05, 0.95, 3)), count=4, seed=0)[1][i] for i in range(4)]
+    ours, theirs = (advise(*given, motions=[STEPS]) for given in (bench, open_problem(others)))
+    assert theirs[0].left > ours[0].left + 0.1
+
+
+def test_nothing_is_advised_where_nothing_is_open_or_nothing_can_be_said(bench: tuple[Problem, Result]) -> None:
+    problem, result = bench
+    known = tuple(dataclasses.replace(e, identified=True) for e in result.estimates)
+    assert advise(problem, dataclasses.replace(result, estimates=known), motions=[STEPS]) == ()
+    assert hindrance(result) == ""
+    for worse in (dataclasses.replace(result, fits=False), dataclasses.replace(result, ess=4.0)):
+        assert hindrance(worse) and advise(problem, worse, motions=[STEPS]) == ()
+    (none, *_) = advise(problem, result, motions=[])
+    assert not none.tells and "no motion could be tried" in none.line()
+
+
+def test_a_legged_robot_is_sent_onto_steeper_slopes_by_a_command() -> None:
+    problem = Problem.of(base_model("hexapod"), walk(), timestep=0.01)
+    tried = candidates(problem)
+    steep = [m for m in tried if "slope of" in m.description]
+    assert steep and len(tried) > len(steep)
+    assert all(0.1 < m.scenario.slope_pitch <= SLOPE_LIMIT for m in steep)
+    assert not any(m.name == "gait:stand" for m in tried)
+    words = shlex.split(steep[0].command)
+    assert words[words.index("--slope-pitch") + 1] == f"{steep[0].scenario.slope_pitch:g}"
+
+
+def test_advice_is_on_the_page_and_says_where_none_would_tell(bench: tuple[Problem, Result]) -> None:
+    advice = [
+        Advice("gain", 0.2, True, "gait:twist", "twists", "./tcbi collect --policy gait:twist"),
+        Advice("friction", 0.9, False, "gait:squat", "squats", "./tcbi collect --policy gait:squat"),
+    ]
+    assert "would leave 20% of its variance\n  ./tcbi collect --policy gait:twist" in advice[0].line()
+    assert "none of the motions that were tried would tell" in advice[1].line()
+    report = Report("x")
+    add_inference(report, bench[1], METHODS["prior"], advice=advice)
+    assert "What to record next" in report.html() and "./tcbi collect --policy gait:twist" in report.html()
