@@ -1,6 +1,7 @@
 """A lag of all signals against the prediction is a finding; one of joints alone, or of a few, is none."""
 
 import dataclasses
+import types
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from tcbi_infer.compare.common_lag import common_lag, signal_lags
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.signals import ATTITUDE, JOINT, RATE
+from tcbi_infer.diagnose.diagnosis import _Run
 from tcbi_sim.model import base_model
 
 MODEL = base_model("hexapod")
@@ -92,3 +94,16 @@ def test_compare_says_it_of_stamps_that_are_all_late_and_of_nothing_else():
     joints = [dataclasses.replace(m, joint_position=np.roll(m.joint_position, 4, axis=0)) for m in clean]
     for rollouts in (clean, joints):
         assert not any("later than predicted" in guard for guard in compare(MODEL, rollouts, particles=0).guards)
+
+
+@pytest.mark.parametrize(("by", "count"), [(0.0, 0), (0.08, 1)])
+def test_a_diagnosis_guards_against_it_on_held_out_motions(replay, by, count):
+    sets = np.arange(len(replay.replicates))
+    observed = np.stack([delayed(replay, by)[g.members[0]] for g in replay.replicates])
+    said = np.stack([replay.measured[g.members[0]] for g in replay.replicates])
+    run = types.SimpleNamespace(
+        problem=types.SimpleNamespace(observed=observed), replay=replay, sets=sets, measurements=replay.measurements
+    )
+    judged = types.SimpleNamespace(held=types.SimpleNamespace(residual=observed - said))
+    late = [g for g in _Run._guards(run, judged) if "come 80 ms later than predicted" in g]
+    assert len(late) == count

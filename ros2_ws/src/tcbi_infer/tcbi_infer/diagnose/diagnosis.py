@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from tcbi_contract.wording import counted
+from tcbi_infer.compare.common_lag import common_lag
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
@@ -247,7 +248,7 @@ class _Run:
             errors=errors,
             floor_from_replicates=self.floor.from_replicates,
             untestable=directions.untestable,
-            guards=tuple(guard(self.measurements)),
+            guards=self._guards(before),
             claims=tuple(self._claims(kinds, sealed, null)),
             base=judge.evidence("", before, before, drift),
             moments=tuple(judge.moments(before, after)),
@@ -256,6 +257,15 @@ class _Run:
             next_motions=self._next_motions(ruling, before, after, detectable),
             leftover=leftover,
         )
+
+    def _guards(self, base: Judged) -> tuple[str, ...]:
+        """Findings about the recordings, and about a lag of all signals against the base model, held out."""
+        measured = self.problem.observed[self.sets]
+        first = [self.replay.replicates[s].members[0] for s in self.sets]
+        names = [self.replay.measurements[r].rollout_id for r in first]
+        predicted = measured - base.held.residual
+        late = common_lag(self.replay.layout, self.replay.time, measured, predicted, names)
+        return (*guard(self.measurements), *late)
 
     def _next_motions(
         self, ruling: Ruling, before: Judged, after: dict[str, Judged], sizes: Sequence[DetectableSize]
