@@ -25,7 +25,7 @@ LEAST_SHARE = 0.1  # of the squared error beyond the noise: less is not called a
 LEVEL = 0.95  # of the test, over kinds of motion, that a law predicts anything
 KNOTS, FINE_KNOTS = 8, 48  # of a law; of a law of the position, which may repeat with every tooth of a gear
 PENALTIES = (1.0, 5.0, 25.0, 125.0, 3000.0)  # 1: a law may be as large as the residual; the last allows next to nothing
-OFFSET = "a constant offset"
+OFFSET, TEETH = "a constant offset", "teeth"
 COMMAND, POSITION = "the commanded position", "the predicted position"
 LOAD = "the load (command less prediction)"
 
@@ -37,14 +37,14 @@ class _Design:
     Attributes:
       columns: name of a variable -> its columns.
       gram: (S, J, K, K); `slope` (S, J, K) against the residual in units of `scale`.
-      scale: (J,) of each joint's residual, in noise floors.
+      scale: of the joints' residual, in noise floors.
       square: (S,) squared residual in noise floors, `noise` (S,) what of it is noise.
     """
 
     columns: dict[str, np.ndarray]
     gram: np.ndarray
     slope: np.ndarray
-    scale: np.ndarray
+    scale: float
     square: np.ndarray
     noise: np.ndarray
 
@@ -73,15 +73,15 @@ def explain(problem: Problem, residual: np.ndarray, sets: np.ndarray, use: str =
     if excess <= LEAST_SHARE * design.noise.sum():
         return Leftover("The joints' error is down at the noise floor: nothing is left to explain.", use, 0.0)
     sizes = np.array([len(fold) for fold in folds])
-    offset = _predicted(design, design.columns[OFFSET], folds)
+    names = [name for name in design.columns if name != TEETH]
+    offset = _predicted(design, [OFFSET], folds)
     variables = [_variable(OFFSET, offset, excess, sizes)]
-    every = np.arange(design.gram.shape[-1])
-    for name, columns in design.columns.items():
+    for name in names:
         if name != OFFSET:
-            both = _predicted(design, np.r_[design.columns[OFFSET], columns], folds)
+            both = _predicted(design, [OFFSET, name], folds)
             variables.append(_variable(name, both - offset, excess, sizes))
     variables.sort(key=lambda v: -v.share)
-    together = _variable("", _predicted(design, every, folds), excess, sizes)
+    together = _variable("", _predicted(design, names, folds), excess, sizes)
     share = max([v.share for v in (together, *variables) if v.sure], default=0.0)
     return Leftover(_statement(share, variables), use, share, tuple(variables))
 
@@ -110,29 +110,41 @@ def _variable(name: str, explained: np.ndarray, excess: float, sizes: np.ndarray
     return Variable(name, float(np.clip(share, 0.0, 1.0)), se, bool(certain and share >= LEAST_SHARE))
 
 
-def _predicted(design: _Design, columns: np.ndarray, folds: Sequence[np.ndarray]) -> np.ndarray:
-    """(2, F) squared error that laws of some columns take away in each kind of motion: in noise floors, and in nats."""
-    gram = np.stack([design.gram[fold].sum(axis=0) for fold in folds])[..., columns[:, None], columns]
-    slope = np.stack([design.slope[fold].sum(axis=0) for fold in folds])[..., columns]
-    every = range(len(folds))
+def _predicted(design: _Design, names: Sequence[str], folds: Sequence[np.ndarray]) -> np.ndarray:
+    """(2, F) squared error that laws of some variables take away in each kind of motion: in noise floors, in nats.
+
+    How stiff the laws are, whether each joint has its own, and whether that of the position may have teeth, is what
+    served the other kinds best.
+    """
+    teeth = design.columns[TEETH] if POSITION in names else []
+    chosen = np.concatenate([*(design.columns[name] for name in names), teeth]).astype(int)
+    smooth, every = np.arange(len(chosen) - len(teeth)), range(len(folds))
+    finer = [np.arange(len(chosen))] if len(teeth) else []
+    gram = np.stack([design.gram[fold].sum(axis=0) for fold in folds])[..., chosen[:, None], chosen]
+    slope = np.stack([design.slope[fold].sum(axis=0) for fold in folds])[..., chosen]
 
     def gained(law: np.ndarray, fold: int) -> np.ndarray:
-        return 2.0 * (law * slope[fold]).sum(axis=-1) - np.einsum("jk,jkl,jl->j", law, gram[fold], law)
+        return (law * (2.0 * slope[fold] - (gram[fold] @ law[..., None])[..., 0])).sum(axis=-1)
 
-    def fitted(without: set[int], penalty: float) -> np.ndarray:
+    def fitted(without: set[int], columns: np.ndarray, shared: bool, penalty: float) -> np.ndarray:
         train = [f for f in every if f not in without]
-        matrix = gram[train].sum(axis=0) + penalty * np.eye(len(columns))
-        return np.linalg.solve(matrix, slope[train].sum(axis=0)[..., None])[..., 0]
+        matrix, right = gram[train].sum(axis=0)[:, columns[:, None], columns], slope[train].sum(axis=0)[:, columns]
+        if shared:
+            matrix, right = matrix.sum(axis=0, keepdims=True), right.sum(axis=0, keepdims=True)
+        law = np.zeros(slope[0].shape)
+        law[:, columns] = np.linalg.solve(matrix + penalty * np.eye(len(columns)), right[..., None])[..., 0]
+        return law
 
-    tried = np.zeros((len(folds), len(PENALTIES)))  # of each kind left out: what the others predict of each other
+    ways = list(itertools.product([smooth, *finer], {False, gram.shape[1] > 1}, PENALTIES))
+    tried = np.zeros((len(folds), len(ways)))  # of each kind left out: what the others predict of each other
     for f, g in itertools.combinations(every, 2):
-        for i, penalty in enumerate(PENALTIES):
-            law = fitted({f, g}, penalty)
+        for i, way in enumerate(ways):
+            law = fitted({f, g}, *way)
             tried[f, i] += gained(law, g).sum()
             tried[g, i] += gained(law, f).sum()
     result = np.empty((2, len(folds)))
     for f in every:
-        gain = gained(fitted({f}, PENALTIES[int(np.argmax(tried[f]))]), f)
+        gain = gained(fitted({f}, *ways[int(np.argmax(tried[f]))]), f)
         result[:, f] = (gain * design.scale**2).sum(), 0.5 * gain.sum()
     return result
 
@@ -146,8 +158,7 @@ def _design(problem: Problem, residual: np.ndarray, sets: np.ndarray) -> _Design
     laws = _laws(problem, predicted, sets, [int(np.flatnonzero(joints == i)[0]) for i in index])
     weight = weight * np.isfinite(scaled) * np.all([np.isfinite(law).all(axis=-1) for law in laws.values()], axis=0)
     scaled = np.where(weight > 0, scaled, 0.0)
-    scale = np.sqrt((scaled**2).sum(axis=(0, 1)) / np.maximum(weight.sum(axis=(0, 1)), 1.0))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = float(np.sqrt((scaled**2).sum() / weight.sum()))
     columns, first = {}, 0
     for name, law in laws.items():
         columns[name] = np.arange(first, first + law.shape[-1])
@@ -186,7 +197,9 @@ def _laws(problem: Problem, predicted: np.ndarray, sets: np.ndarray, joints: lis
     laws = {OFFSET: np.ones((*shape, 1))}
     for name, values in smooth.items():
         if np.nanmax(np.nanmax(values, axis=(0, 1)) - np.nanmin(values, axis=(0, 1))) > 1e-9:
-            laws[name] = _hats(values, FINE_KNOTS if name == POSITION else KNOTS)
+            laws[name] = _hats(values, KNOTS, own=name in (COMMAND, POSITION))
+    if POSITION in laws:
+        laws[TEETH] = _hats(predicted, FINE_KNOTS, own=True)
     laws["the direction of motion"] = np.tanh(velocity / (SLOW * DEGREE))[..., None]
     for name, values in {
         "the slope": np.array([(m.scenario.slope_roll, m.scenario.slope_pitch) for m in firsts]),
@@ -207,9 +220,13 @@ def _constants(problem: Problem, sets: np.ndarray) -> dict[str, np.ndarray]:
     return {key: np.array([constants[key] for constants in each]) for key in sorted(shared)}
 
 
-def _hats(values: np.ndarray, knots: int) -> np.ndarray:
-    """(S, T, J, knots) hat functions over each joint's range, centred; NaN where the values are."""
-    low, high = np.nanquantile(values, (0.005, 0.995), axis=(0, 1))
-    place = np.clip((values - low) / np.maximum(high - low, 1e-9), 0.0, 1.0) * (knots - 1)
-    hats = np.maximum(0.0, 1.0 - np.abs(place[..., None] - np.arange(knots)))
-    return hats - np.nanmean(hats, axis=(0, 1))
+def _hats(values: np.ndarray, knots: int, own: bool) -> np.ndarray:
+    """(S, T, J, knots + 1) a line and hat functions over each joint's own range or that of all; NaN where `values` are.
+
+    All are centred, and the line has unit size.
+    """
+    low, high = np.nanquantile(values, (0.005, 0.995), axis=(0, 1) if own else None)
+    place = np.clip((values - low) / np.maximum(high - low, 1e-9), 0.0, 1.0)
+    hats = np.maximum(0.0, 1.0 - np.abs(place[..., None] * (knots - 1) - np.arange(knots)))
+    columns = np.concatenate([place[..., None] * np.sqrt(12.0), hats], axis=-1)
+    return columns - np.nanmean(columns, axis=(0, 1) if own else (0, 1, 2))
