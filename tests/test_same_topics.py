@@ -11,23 +11,30 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from hexapod_driver.driver_node import DriverNode
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract import messages, names
 from tcbi_msgs.msg import FootContacts
 from tcbi_msgs.srv import ResetEpisode
+from tcbi_sim.measurement import roll_pitch_yaw
 from tcbi_sim.rigs import load_rig
+from tcbi_sim.sim_node import SimNode
 
 pytestmark = pytest.mark.graph
 
 STREAMS = {names.JOINT_STATES: JointState, names.IMU: Imu, names.FOOT_CONTACTS: FootContacts}
 NODES = ("sim_node", "driver_node")
 BODY = Path(__file__).with_name("simulated_body.py")
+STANDING = 22  # commands of `motion` while all feet stand; one that lands knocks, briefly, and never twice alike
+UNEQUAL = 0.03  # share of contacts: a foot that lifts or lands may do so one sample earlier or later
 
 
 @pytest.fixture
@@ -142,6 +149,21 @@ def test_every_field_of_every_topic_is_alike(start_graph, peer, port, tmp_path):
         assert offered["sim_node"][topic] == [(f"{package}/msg/{module}", *reliable)]
 
 
+def test_both_keep_as_many_messages_as_the_contract_says(domain, port, tmp_path):
+    """Asked of the nodes themselves: the middleware tells other nodes neither history nor depth."""
+    for name, make in (("sim_node", SimNode), ("driver_node", DriverNode)):
+        arguments = process(name, port, tmp_path / "store").ros_arguments()
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            node = make()
+            kept = {p.topic.lstrip("/"): (p.qos_profile.history, p.qos_profile.depth) for p in node.publishers}
+            node.destroy_node()
+        finally:
+            rclpy.shutdown()
+        expected = dict.fromkeys((*STREAMS, names.DIAGNOSTICS), (HistoryPolicy.KEEP_LAST, 50))
+        assert {topic: kept.get(topic) for topic in expected} == expected, name
+
+
 def check_stream(listener: Listener, topic: str) -> None:
     """Stamps increase strictly, at 50 Hz, and say when it was measured: before it arrived, and not long before."""
     stamps = np.array([stamp(m) for m in listener.seen[topic]])
@@ -176,11 +198,15 @@ def check_diagnostics(listener: Listener) -> None:
 
 
 def motion() -> np.ndarray:
-    """(K, 18) targets: each kind of joint in turn, out, held, and back, gently."""
-    kinds = np.array([name.split("_")[1] for name in names.JOINTS])
+    """(K, 18) targets: each kind of joint in turn, out, held, and back, gently; then three feet lifted, and a bow."""
+    legs, kinds = np.array([name.split("_") for name in names.JOINTS]).T
     poses = [np.zeros(len(names.JOINTS))]
     for kind, angle in (("femur", 0.15), ("tibia", -0.12), ("coxa", 0.1)):
         poses += [np.where(kinds == kind, angle * share, 0.0) for share in (0.5, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0)]
+    assert len(poses) == STANDING
+    for raised, angle in ((("lf", "rm", "lr"), 0.3), (("rf", "lm", "rr"), 0.3), (("lf", "rf"), 0.25)):
+        moved = np.isin(legs, raised) & (kinds == "femur")
+        poses += [np.where(moved, angle * share, 0.0) for share in (0.25, 0.5, 0.75, 1.0, 1.0, 0.75, 0.5, 0.25, 0.0)]
     return np.array(poses)
 
 
@@ -190,19 +216,24 @@ def test_the_same_commands_to_the_same_physics_give_the_same_recording(start_gra
         "joints": np.hypot(noise.joint_position, noise.encoder_step / np.sqrt(12)),
         "rates": noise.angular_velocity,
         "forces": noise.linear_acceleration,
+        "tilt": noise.attitude,
     }
+    limits = {signal: 2.0 * np.sqrt(2) * sd for signal, sd in sds.items()} | {"contacts": UNEQUAL}
     for attempt in range(4):  # a busy machine delays commands, which only ever adds to the differences
         with simulated_body(tmp_path / f"robot{attempt}") as port:
             differences, moved = recorded_twice(start_graph, peer, port, tmp_path / "store", tuple(sds))
-        assert np.ptp(moved, axis=0).min() > 0.05, "every joint moved, so that agreement means something"
-        apart = {s: d for s, d in differences.items() if not d < 2.0 * np.sqrt(2) * sds[s]}
+        assert np.ptp(moved["joints"], axis=0).min() > 0.05, "every joint moved, so that agreement means something"
+        assert np.ptp(moved["tilt"], axis=0).min() > 0.035, "the trunk rolled and pitched"
+        assert np.ptp(moved["contacts"], axis=0).min() == 1, "every foot was on the ground and off it"
+        apart = {signal: d for signal, d in differences.items() if not d < limits[signal]}
         if not apart:
             return
-    pytest.fail(f"differences {apart} beyond the sensors' noise {sds}")
+    pytest.fail(f"differences {apart} beyond what the sensors' noise allows: {limits}")
 
 
 def recorded_twice(start_graph, peer, port, store: Path, signals: tuple[str, ...]) -> tuple[dict[str, float], Any]:
-    """Root mean square difference of each signal between driver and sim node, and how the joints moved."""
+    """Root mean square difference of each signal between driver and sim node, the share of contacts that differ, and
+    what the sim node has recorded."""
     recordings, sent, targets = {}, {}, motion()
     for node in NODES:
         graph = start_graph(process(node, port, store))
@@ -229,8 +260,11 @@ def recorded_twice(start_graph, peer, port, store: Path, signals: tuple[str, ...
         return driver - at(recordings["sim_node"], signal, grid["sim_node"])
 
     lag = min(np.arange(-0.15, 0.15, 0.001), key=lambda x: rms(difference("joints", x)))
-    moved = at(recordings["sim_node"], "joints", grid["sim_node"])
-    return {signal: rms(difference(signal, lag)) for signal in signals}, moved
+    moved = {signal: at(recordings["sim_node"], signal, grid["sim_node"]) for signal in ("joints", "tilt", "contacts")}
+    standing = {"forces": STANDING * len(grid["sim_node"]) // len(targets[:-1])}
+    differences = {signal: rms(difference(signal, lag)[: standing.get(signal)]) for signal in signals}
+    unequal = np.abs(difference("contacts", lag)) > 0.5
+    return differences | {"contacts": float(unequal.mean())}, moved
 
 
 def clock_jumps(listener: Listener) -> str:
@@ -243,7 +277,11 @@ def series(listener: Listener) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """(time in s, values) of each signal."""
     imu, joints = listener.seen[names.IMU], listener.seen[names.JOINT_STATES]
     times = np.array([stamp(m) for m in imu])
+    turn = np.array([[o.w, o.x, o.y, o.z] for o in (m.orientation for m in imu)])
+    contacts = listener.seen[names.FOOT_CONTACTS]
     return {
+        "tilt": (times, roll_pitch_yaw(turn)[:, :2]),
+        "contacts": (np.array([stamp(m) for m in contacts]), np.array([m.contact for m in contacts], float)),
         "joints": (np.array([stamp(m) for m in joints]), np.array([m.position for m in joints])),
         "rates": (times, np.array([[v.x, v.y, v.z] for v in (m.angular_velocity for m in imu)])),
         "forces": (times, np.array([[v.x, v.y, v.z] for v in (m.linear_acceleration for m in imu)])),
