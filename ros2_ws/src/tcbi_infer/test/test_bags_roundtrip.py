@@ -1,6 +1,8 @@
 """A measurement written as a bag and read back is the same, and other readers agree with what is in it."""
 
 import dataclasses
+import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,10 @@ from tcbi_infer.bags.reader import read_measurement, read_measurements
 from tcbi_infer.bags.scan import Scan
 from tcbi_infer.errors import BagError
 from tcbi_sim.measurement import Commands
+
+# installations whose `ros2 bag` reads MCAP files
+ROSBAG2 = [plugin.parents[1] for plugin in sorted(Path("/opt/ros").glob("*/share/rosbag2_storage_mcap"))]
+ROSBAG2 = [prefix for prefix in ROSBAG2 if (prefix / "share" / "ros2bag").is_dir()]
 
 
 @pytest.mark.parametrize("case", [rollout(), bench()], ids=["hexapod", "bench"])
@@ -63,6 +69,19 @@ def test_an_independent_reader_finds_every_message_with_its_type_hash_and_qos(tm
             if connection.topic == "/joint_states":
                 positions.append(store.deserialize_cdr(data, connection.msgtype).position)
     assert np.array_equal(positions, case.joint_position)
+
+
+@pytest.mark.skipif(not ROSBAG2, reason="no ROS with ros2bag and rosbag2_storage_mcap in /opt/ros: not read by rosbag2")
+def test_ros2_bag_info_finds_every_message(tmp_path):
+    case = rollout()
+    bag = write_measurement(tmp_path, case)
+    command = f". {ROSBAG2[-1] / 'setup.bash'} && exec ros2 bag info {bag}"
+    plain = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"}  # nothing of the environment of ./tcbi
+    said = subprocess.run(["bash", "-c", command], env=plain, capture_output=True, text=True, timeout=60, check=False)
+    assert said.returncode == 0, said.stderr
+    counts = dict(re.findall(r"Topic: (\S+) \| Type: \S+ \| Count: (\d+)", said.stdout))
+    with Reader(bag) as reader:
+        assert counts == {c.topic: str(c.msgcount) for c in reader.connections}
 
 
 def test_the_layout_is_the_contracts(tmp_path):
