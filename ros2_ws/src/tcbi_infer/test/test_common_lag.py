@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from legged_cases import walk
 
-from tcbi_infer.compare.common_lag import common_lag, signal_lags
+from tcbi_infer.compare.common_lag import common_lag, signal_lags, without_latency
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.signals import ATTITUDE, JOINT, RATE
@@ -105,5 +105,34 @@ def test_a_diagnosis_guards_against_it_on_held_out_motions(replay, by, count):
         problem=types.SimpleNamespace(observed=observed), replay=replay, sets=sets, measurements=replay.measurements
     )
     judged = types.SimpleNamespace(held=types.SimpleNamespace(residual=observed - said))
-    late = [g for g in _Run._guards(run, judged) if "come 80 ms later than predicted" in g]
+    late = [g for g in _Run._guards(run, judged, {}) if "come 80 ms later than predicted" in g]
     assert len(late) == count
+
+
+@pytest.mark.parametrize("effect", ["command_latency", "sensor_latency"])
+def test_a_diagnosis_says_that_a_latency_it_fitted_may_be_a_late_clock(effect):
+    late = Replay.of(MODEL, [dataclasses.replace(m, time=m.time + 0.08) for m in walk(repeats=1)])
+    sets = np.arange(len(late.replicates))
+    observed = np.stack([late.measured[g.members[0]] for g in late.replicates])
+    model = MODEL.with_effect(effect)
+    fit = types.SimpleNamespace(model=model, parameters=np.append(MODEL.mean(), 0.08))
+    nothing_left = types.SimpleNamespace(residual=np.zeros_like(observed))
+    run = types.SimpleNamespace(
+        problem=types.SimpleNamespace(observed=observed),
+        replay=late,
+        sets=sets,
+        measurements=late.measurements,
+        settings=types.SimpleNamespace(timestep=0.002),
+    )
+    base, judged = types.SimpleNamespace(held=nothing_left), types.SimpleNamespace(fit=fit, held=nothing_left)
+    assert not any("later than predicted" in g for g in _Run._guards(run, base, {}))
+    words = f"come 80 ms later than predicted without {effect}: the sensors' clock is late"
+    assert sum(words in g for g in _Run._guards(run, base, {effect: judged})) == 1
+
+
+def test_only_latencies_are_left_out_of_a_model():
+    assert without_latency(MODEL, MODEL.mean()) is None
+    model = MODEL.with_effect("viscous_damping").with_effect("command_latency")
+    values = model.mean()
+    found = without_latency(model, values)
+    assert found[-1] == 0.0 != values[-1] and np.array_equal(found[:-1], values[:-1])

@@ -2,7 +2,8 @@
 
 Sensors whose clock is late do this, and so does a robot that takes its commands late; one that is slow in some joints,
 or by an amount that depends on the motion, does not. The recordings cannot tell the first two apart, so they are named
-together, and nothing is taken out.
+together, and nothing is taken out. A fit may make up for a lag with slower servos: joints and body then no longer agree,
+and only a model with a latency of its own shows, when it is predicted without it, how late the signals come.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,9 @@ import numpy as np
 
 from tcbi_infer.compare.clocks import AGREE, FOLLOWS
 from tcbi_infer.compare.signals import ATTITUDE, JOINT, RATE, Layout
+from tcbi_sim.model import Model
 
+LATENCIES = ("command_latency", "sensor_latency")  # effects that a late clock looks like
 LEAST = 0.03  # s that all signals must come late
 REACH, PART, STEP = 0.45, 0.2, 0.005  # s of the lags tried; at most this part of a rollout; their step
 EARLY = 0.15  # s of the lags tried the other way
@@ -23,7 +26,12 @@ FEWEST_ROLLOUTS = 2  # that must be late where there are several
 
 
 def common_lag(
-    layout: Layout, time: np.ndarray, measured: np.ndarray, predicted: np.ndarray, rollouts: Sequence[str]
+    layout: Layout,
+    time: np.ndarray,
+    measured: np.ndarray,
+    predicted: np.ndarray,
+    rollouts: Sequence[str],
+    without: str = "",
 ) -> list[str]:
     """The finding, if half of the rollouts or more have such a lag; else nothing.
 
@@ -35,6 +43,7 @@ def common_lag(
       measured: (R, T, C), NaN where missing.
       predicted: (R, T, C).
       rollouts: (R) names.
+      without: the effect that was left out of the prediction.
     """
     lags = np.array([_lag(layout, time, *arrays) for arrays in zip(measured, predicted, strict=True)])
     with np.errstate(invalid="ignore"):
@@ -43,12 +52,21 @@ def common_lag(
         return []
     lag = float(np.median(lags[late]))
     who = "" if late.all() or len(lags) == 1 else f" ({_listed([r for r, k in zip(rollouts, late, strict=True) if k])})"
+    said = f"{1000 * lag:.0f} ms later than predicted{without and f' without {without}'}{who}"
     return [
-        f"All signals, joints and body alike, come {1000 * lag:.0f} ms later than predicted{who}: the sensors' clock "
+        f"All signals, joints and body alike, come {said}: the sensors' clock "
         "is late against that of the commands, or the robot takes its commands late; these recordings cannot tell "
         "which. Stamp commands and sensors by one clock, or measure how far the two are apart, before calling it a "
         "latency."
     ]
+
+
+def without_latency(model: Model, parameters: np.ndarray) -> np.ndarray | None:
+    """The (P,) parameters of a model as if its latencies were none; None if it has none."""
+    of_effect = [p.name.partition(".")[0].partition(":")[0] in LATENCIES for p in model.parameters]
+    if not any(of_effect):
+        return None
+    return np.where(of_effect, [0.0 if p.null is None else p.null for p in model.parameters], parameters)
 
 
 def _listed(names: Sequence[str]) -> str:

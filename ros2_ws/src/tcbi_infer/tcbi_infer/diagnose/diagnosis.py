@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from tcbi_contract.wording import counted
-from tcbi_infer.compare.common_lag import common_lag
+from tcbi_infer.compare.common_lag import LATENCIES, common_lag, without_latency
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
@@ -248,7 +248,7 @@ class _Run:
             errors=errors,
             floor_from_replicates=self.floor.from_replicates,
             untestable=directions.untestable,
-            guards=self._guards(before),
+            guards=self._guards(before, after),
             claims=tuple(self._claims(kinds, sealed, null)),
             base=judge.evidence("", before, before, drift),
             moments=tuple(judge.moments(before, after)),
@@ -258,13 +258,22 @@ class _Run:
             leftover=leftover,
         )
 
-    def _guards(self, base: Judged) -> tuple[str, ...]:
-        """Findings about the recordings, and about a lag of all signals against the base model, held out."""
+    def _guards(self, base: Judged, after: dict[str, Judged]) -> tuple[str, ...]:
+        """Findings about the recordings, and about a lag of all signals.
+
+        Against the base model held out; and, since its fit may have made up for a lag with slower servos, against the
+        candidates that are a latency, as they would be without it.
+        """
         measured = self.problem.observed[self.sets]
         first = [self.replay.replicates[s].members[0] for s in self.sets]
         names = [self.replay.measurements[r].rollout_id for r in first]
-        predicted = measured - base.held.residual
-        late = common_lag(self.replay.layout, self.replay.time, measured, predicted, names)
+        late = common_lag(self.replay.layout, self.replay.time, measured, measured - base.held.residual, names)
+        for use, judged in after.items():
+            instant = without_latency(judged.fit.model, judged.fit.parameters)
+            if instant is not None and use in LATENCIES and not late:
+                sets, step = list(self.sets), self.settings.timestep
+                predicted = self.replay.predict(judged.fit.model, instant[None], sets, step)[0]
+                late = common_lag(self.replay.layout, self.replay.time, measured, predicted, names, use)
         return (*guard(self.measurements), *late)
 
     def _next_motions(
