@@ -2,8 +2,8 @@
 
 Sensors whose clock is late do this, and so does a robot that takes its commands late; one that is slow in some joints,
 or by an amount that depends on the motion, does not. The recordings cannot tell the first two apart, so they are named
-together, and nothing is taken out. A fit may make up for a lag with slower servos: joints and body then no longer agree,
-and only a model with a latency of its own shows, when it is predicted without it, how late the signals come.
+together, and nothing is taken out. A fit may make up for a lag with slower servos: joints and body then disagree, and
+only a model with a latency of its own shows, when it is predicted without it, how late the signals come.
 """
 
 from collections.abc import Sequence
