@@ -7,13 +7,15 @@ import time
 from dataclasses import dataclass
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from tcbi_bringup import launcher
 from tcbi_bringup.graph_monitor import GraphMonitor
 from tcbi_bringup.launcher import NodeProcess
-from tcbi_contract.names import ROBOT_DESCRIPTION
+from tcbi_contract.messages import STREAM_QOS
+from tcbi_contract.names import DIAGNOSTICS, ROBOT_DESCRIPTION
 from tcbi_contract.running import CRASHED
 
 pytestmark = pytest.mark.graph
@@ -31,6 +33,22 @@ def test_a_node_killed_comes_back_and_publishes_again(start_graph, peer):
     graph.send_signal("description_node", signal.SIGKILL)
     peer.wait_until(lambda: len(got) == 2, "the description of the restarted node")
     assert got[0] == got[1]
+
+
+def test_it_tells_its_health(start_graph, peer):
+    start_graph(description())
+    heard = peer.collect(DIAGNOSTICS, DiagnosticArray, STREAM_QOS)
+    peer.wait_until(lambda: len(heard) >= 2, "two diagnostics")
+    (status,) = heard[-1].status
+    assert (status.level, status.name, status.message) == (DiagnosticStatus.OK, "description_node", "published")
+    assert status.values[0].value == "hexapod"
+
+
+def test_the_laboratory_says_in_its_health_that_no_robot_is_there(start_graph, peer, tmp_path):
+    start_graph(NodeProcess("tcbi_bringup", "experimenter_node", parameters={"socket": str(tmp_path / "nobody")}))
+    heard = peer.collect(DIAGNOSTICS, DiagnosticArray, STREAM_QOS)
+    peer.wait_until(lambda: any(m.status[0].level == DiagnosticStatus.ERROR for m in heard), "the fault")
+    assert heard[-1].status[0].name == "experimenter_node" and "nobody" in heard[-1].status[0].message
 
 
 def test_a_namespace_moves_the_topics(start_graph, peer):

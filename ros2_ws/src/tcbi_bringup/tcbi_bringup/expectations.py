@@ -28,7 +28,7 @@ EXPECTATIONS = (
     Expectation(
         names.JOINT_COMMANDS, "trajectory_msgs/msg/JointTrajectory", names.CONTROL_RATE_HZ, False, "policy_node"
     ),
-    Expectation(names.DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray", None, True, "every node"),
+    Expectation(names.DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray", None, True, "every node but page and replay"),
 )
 RATE_TOLERANCE = 0.15  # relative
 

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -20,7 +22,7 @@ from tcbi_bringup.emulated_robot.errors import EmulatedRobotError
 from tcbi_bringup.emulated_robot.experimenter import ExperimenterClient, checked, default_socket_path
 from tcbi_bringup.emulated_robot.mechanics import Box, Scene
 from tcbi_contract.messages import STREAM_QOS, tracker_pose
-from tcbi_contract.names import PLACE_ROBOT, TRACKER_POSE
+from tcbi_contract.names import DIAGNOSTICS, DIAGNOSTICS_RATE_HZ, PLACE_ROBOT, TRACKER_POSE
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_msgs.srv import ResetEpisode
@@ -46,10 +48,14 @@ class ExperimenterNode(Node):
         self.parameters = declare(self, Parameters)
         self._client = ExperimenterClient(Path(self.parameters.socket or default_socket_path()))
         self._rng = np.random.default_rng(self.parameters.seed)
+        self._fault = ""  # why the robot is not seen
+        self._placed = 0
         self._publisher = self.create_publisher(PoseStamped, TRACKER_POSE, STREAM_QOS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, STREAM_QOS)
         own_group = ReentrantCallbackGroup()  # waits inside its callback while the timers go on
         self.create_service(ResetEpisode, PLACE_ROBOT, self._place, callback_group=own_group)
         self.create_timer(1.0 / self.parameters.rate_hz, self._track)
+        self.create_timer(1.0 / DIAGNOSTICS_RATE_HZ, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _now(self) -> Time:
         return self.get_clock().now().to_msg()
@@ -58,8 +64,10 @@ class ExperimenterNode(Node):
         try:
             _, position, orientation = self._client.pose()
         except EmulatedRobotError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            self._fault = str(error)
+            self.get_logger().warning(self._fault, throttle_duration_sec=5.0)
             return
+        self._fault = ""
         position = position + self._rng.normal(0.0, self.parameters.position_noise_m, 3)
         w, x, y, z = self._shaken(orientation)
         self._publisher.publish(tracker_pose(self._now(), position, (x, y, z, w)))
@@ -90,6 +98,7 @@ class ExperimenterNode(Node):
         except EmulatedRobotError as error:
             response.success, response.message = False, str(error)
             return response
+        self._placed += 1
         await self._rest()
         response.success, response.stamp = True, self._now()
         response.message = (
@@ -97,6 +106,15 @@ class ExperimenterNode(Node):
             f"{len(blocks)} blocks; the robot stands at its origin in its present posture"
         )
         return response
+
+    def _diagnose(self) -> None:
+        status = DiagnosticStatus(level=DiagnosticStatus.OK, name="experimenter_node", message="sees the robot")
+        if self._fault:
+            status.level, status.message = DiagnosticStatus.ERROR, self._fault
+        status.values = [KeyValue(key="robot placed", value=str(self._placed))]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._now()
+        self._diagnostics.publish(array)
 
 
 def main(args: Sequence[str] | None = None) -> int:
