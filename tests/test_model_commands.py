@@ -61,6 +61,18 @@ def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
     (delay,) = found["ranking"][0]["parameters"]
     assert delay["low90"] <= LATENCY <= delay["high90"]
 
+    (*_, size) = found["agreement"]["command_latency"]
+    assert size["name"] == "command_latency.delay" and size["agrees"] and len(size["kinds"]) >= 3
+    size["agrees"], size["statement"] = False, "command_latency.delay: the kinds of motion disagree."
+    doubted = tmp_path / "doubted.json"
+    doubted.write_text(json.dumps(found))
+    other = ("--rig", "servo_bench", "--store", tmp_path / "other")
+    add_doubted = ("add", "command_latency", "--diagnosis", doubted, *other)
+    assert cli.main([str(w) for w in add_doubted]) == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert "not offered" in told and "the kinds of motion disagree" in told and "--anyway" in told
+    assert answer(capsys, *add_doubted, "--anyway")["disagreements"] == [size["statement"]]
+
     added = answer(capsys, "add", "command_latency", "--rig", "servo_bench", *store)
     assert (added["model"], added["parent"], added["effect"]) == ("servo_bench-v1", "servo_bench-v0", "command_latency")
     assert added["accepted"] and added["error_after"] < 1.5 < added["error_before"]

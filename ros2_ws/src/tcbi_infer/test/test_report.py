@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from tcbi_infer.diagnose.evidence import Diagnosis, Evidence, ParameterEstimate
+from tcbi_infer.diagnose.evidence import Agreement, Diagnosis, Evidence, KindValue, ParameterEstimate
 from tcbi_infer.errors import InferError
 from tcbi_infer.report import Report, Section, Table, add_diagnosis, add_history
 from tcbi_infer.report.page import cell
@@ -51,6 +51,20 @@ def test_verdict_ranking_size_and_caveats_are_on_the_page():
     text = page()
     for words in ("The model lacks coulomb_friction.", "weak_leg:lm", "0.055 N m", "lost_commands", "held out in turn"):
         assert words in text
+
+
+def test_values_that_disagree_stand_in_a_table_and_in_a_sentence():
+    own = tuple(KindValue(f"gait{k}", v, 0.9 * v, 1.1 * v) for k, v in enumerate((0.02, 0.055, 0.09)))
+    doubted = Agreement("coulomb_friction.torque", "N m", 0.055, False, "The motions disagree on it.", own, 0.0003)
+    unknown = Agreement("mass", "kg", 0.6, None, "Too few kinds know it.", ())
+    report = Report("What does the model lack?")
+    add_diagnosis(report, dataclasses.replace(DIAGNOSIS, agreement={"": (), "coulomb_friction": (doubted, unknown)}))
+    (section,) = (s for s in report.sections if s.title.startswith("Do the motions agree"))
+    assert list(section.notes) == ["The motions disagree on it."]
+    assert list(section.table.head)[-3:] == ["gait0", "gait1", "gait2"]
+    first, second = section.table.rows
+    assert first[3] == "no" and first[-1] == "0.09 (0.081 to 0.099)"
+    assert second[3] == "cannot be told" and second[-1] == "–"
 
 
 def test_the_headline_is_no_surer_than_the_verdict():

@@ -1,8 +1,9 @@
 """`./tcbi add`: a new model version with an effect in it."""
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tcbi_bringup.arguments import existing_file
 from tcbi_bringup.commands import console
@@ -21,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi add coulomb_friction                          # as the last diagnosis of the latest model fitted it",
         "./tcbi add weak_leg:lm rollouts/*                    # fit it to these bags now",
         "./tcbi add backlash --diagnosis why.json --model hexapod-v1",
+        "./tcbi add weak_leg:lm --anyway                      # though the kinds of motion disagree on its size",
         "./tcbi add payload --prior                           # without any fit",
     )
     parser.add_argument("effect", help="an effect's name, or name:site")
@@ -29,6 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default="hexapod", help="whose newest version, without bags (default: hexapod)")
     parser.add_argument("--diagnosis", type=existing_file, metavar="FILE", help="what `diagnose --json` wrote")
     parser.add_argument("--prior", action="store_true", help="keep the parameters as wide as their prior")
+    parser.add_argument(
+        "--anyway", action="store_true", help="add it though the kinds of motion disagree on the effect's size"
+    )
     console.add_report(parser)
     console.add_store(parser)
     console.add_json(parser)
@@ -58,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
                 "parent": model.version,
                 "effect": args.effect,
                 "accepted": bool(saved.evidence.get("accepted", False)),
+                "disagreements": saved.evidence.get("disagreements", []),
                 "error_before": errors.get("base"),
                 "error_after": errors.get(args.effect),
                 "report": str(path),
@@ -74,8 +80,8 @@ def _fitted(args: argparse.Namespace, model: "Model", measurements: "list[Measur
     from tcbi_infer.errors import InferError
 
     if args.diagnosis:
-        return adopt.adopt(model, args.effect, adopt.read(args.diagnosis))
-    if measurements:
+        found: Mapping[str, Any] | None = adopt.read(args.diagnosis)
+    elif measurements:
         with console.progress("fitting", total=100) as advance:
             fitted = adopt.fit_effect(
                 model,
@@ -83,14 +89,18 @@ def _fitted(args: argparse.Namespace, model: "Model", measurements: "list[Measur
                 measurements,
                 progress=lambda stage, share: advance(done=round(100 * share), note=stage),
             )
-        return adopt.adopt(model, args.effect, fitted.to_json())
-    found = adopt.latest(runs, model.version, args.effect)
+        found = fitted.to_json()
+    else:
+        found = adopt.latest(runs, model.version, args.effect)
     if found is None:
         raise InferError(
             f"no diagnosis of {model.version} has fitted {args.effect!r}; run ./tcbi diagnose first, give bags, "
             "name another version (--model) or rig (--rig), or keep the prior with --prior"
         )
-    return adopt.adopt(model, args.effect, found)
+    child = adopt.adopt(model, args.effect, found)  # a diagnosis of another model is told first
+    if not args.anyway:
+        adopt.offered(found, args.effect)
+    return child
 
 
 def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
@@ -106,6 +116,8 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
         )
         if not saved.evidence["accepted"]:
             print("note: the diagnosis did not accept this effect; the version is a guess")
+        for told in saved.evidence["disagreements"]:
+            print(f"note: {told}")
     else:
         print(f"its size is as wide as the prior; measure it: ./tcbi compare BAG… --model {saved.version}")
     print(f"report: {path}")

@@ -82,6 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _print(d: "Diagnosis", path: Path) -> None:
     from tcbi_infer.diagnose import detectable, excitation
+    from tcbi_infer.diagnose.agreement import disagreeing
 
     for finding in d.guards:
         print(f"note: {finding}")
@@ -105,6 +106,6 @@ def _print(d: "Diagnosis", path: Path) -> None:
         print(f"  {line}")
     for command in dict.fromkeys(m.command for m in excitation.best(d.next_motions) if m.command):
         print(f"next: {command}")
-    if d.uses:
+    if d.uses and not any(a.name.startswith(f"{d.uses[0]}.") for a in disagreeing(d.agreement.get(d.uses[0], ()))):
         print(f"next: ./tcbi add {d.uses[0]} --model {d.model}")
     print(f"report: {path} ({d.seconds:.0f} s)")

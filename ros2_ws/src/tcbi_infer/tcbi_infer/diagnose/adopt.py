@@ -59,8 +59,29 @@ def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -
         "floor_from_replicates": diagnosis["floor_from_replicates"],
         "nothing_held_out": diagnosis.get("nothing_held_out", False),
         "parameters": evidence["parameters"],
+        "disagreements": [a["statement"] for a in disagreements(diagnosis, use)],
     }
     return child.with_particles(particles, log_weights, **summary)
+
+
+def disagreements(diagnosis: Mapping[str, Any], use: str) -> list[Mapping[str, Any]]:
+    """Parameters of the model with a use on which the kinds of motion disagree; none in an older diagnosis."""
+    return [a for a in diagnosis.get("agreement", {}).get(use, ()) if a["agrees"] is False]
+
+
+def offered(diagnosis: Mapping[str, Any], use: str) -> None:
+    """Whether the sizes that a diagnosis fitted to an effect are offered for use.
+
+    Raises:
+      InferError: the kinds of motion disagree on one of them.
+    """
+    own = [p["name"] for e in diagnosis["ranking"] if e["use"] == use for p in e["parameters"]]
+    told = [a["statement"] for a in disagreements(diagnosis, use) if a["name"] in own]
+    if told:
+        raise InferError(
+            f"{use} is not offered for use. {' '.join(told)} See the values in the report, and look for what else "
+            "differs between these motions; or add it all the same with --anyway"
+        )
 
 
 def draw(model: Model, values: np.ndarray, spread: np.ndarray, seed: int) -> np.ndarray:

@@ -11,13 +11,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tcbi_contract.wording import counted
+from tcbi_contract.wording import counted, with_unit
 from tcbi_infer.compare.common_lag import LATENCIES, common_lag, without_latency
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
 from tcbi_infer.diagnose import excitation
+from tcbi_infer.diagnose.agreement import agreement, disagreeing
 from tcbi_infer.diagnose.detectable import Background, detectable_sizes
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
@@ -226,14 +227,21 @@ class _Run:
     ) -> Diagnosis:
         """Rule, and put together everything that the verdict rests on."""
         kinds, sealed = len(self.split.folds), judge.sealed
-        ruling = rule(ranking, judge.held_out_error(before), kinds, judge.unfitted)
+        ruling = rule(ranking, judge.held_out_error(before), kinds, judge.unfitted, before.fit.converged)
         errors = {"unfitted": judge.unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
             errors[best.use] = best.error_after
+        base = judge.evidence("", before, before, drift)
         named = ruling.uses[0] if ruling.verdict == EFFECT else ""
         leftover = explain(self.problem, (after[named] if named else before).held.residual, self.sets, named)
         beyond = f" {leftover.statement}" if ruling.verdict == OUTSIDE_LIBRARY else ""
+        fits = {"": before.fit, **{use: judged.fit for use, judged in after.items()}}
+        agreed = {
+            e.use: agreement(self.problem, fits[e.use], judge.nuisance, self.sets, np.array(e.spread))
+            for e in (base, *ranking)
+            if e.refined
+        }
         return Diagnosis(
             model=self.model.version,
             verdict=ruling.verdict,
@@ -249,13 +257,18 @@ class _Run:
             floor_from_replicates=self.floor.from_replicates,
             untestable=directions.untestable,
             guards=self._guards(before, after),
-            claims=tuple(self._claims(kinds, sealed, null)),
-            base=judge.evidence("", before, before, drift),
+            claims=tuple(
+                self._claims(kinds, sealed, null)
+                + _bounds(base, [e for e in ranking if e.use in ruling.uses])
+                + [a.statement for use in ruling.uses or ("",) for a in disagreeing(agreed.get(use, ()))]
+            ),
+            base=base,
             moments=tuple(judge.moments(before, after)),
             false_alarms=false_alarms(null),
             detectable=detectable,
             next_motions=self._next_motions(ruling, before, after, detectable),
             leftover=leftover,
+            agreement=agreed,
         )
 
     def _guards(self, base: Judged, after: dict[str, Judged]) -> tuple[str, ...]:
@@ -307,3 +320,15 @@ class _Run:
         if not self.floor.from_replicates:
             claims.append(self.floor.statement)
         return claims
+
+
+def _bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:
+    """A sentence on each parameter that the fits left at an end of its range."""
+    return [
+        f"{p.name} stopped at an end of its range, {with_unit(f'{p.value:.3g}', p.unit)}: its interval is one-sided, "
+        "and "
+        + ("a wrong range or another missing effect may be behind it." if e is base else "the effect may be larger.")
+        for e in (base, *named)
+        for p in e.parameters
+        if p.at_bound
+    ]

@@ -89,8 +89,8 @@ def explain(problem: Problem, residual: np.ndarray, sets: np.ndarray, use: str =
 def _statement(share: float, variables: Sequence[Variable]) -> str:
     if not share:
         return (
-            "Nothing recorded explains it: no law of what was recorded at the same moment predicts the joints' "
-            f"errors in motions held out (tried: {', '.join(v.name for v in variables)})."
+            "Nothing recorded explains it, as far as these motions show: no law of what was recorded at the same "
+            f"moment predicts the joints' errors in motions held out (tried: {', '.join(v.name for v in variables)})."
         )
     told = (
         f"Laws of what was recorded could explain {100 * share:.0f} % of the joints' squared error beyond the noise, "
@@ -116,8 +116,8 @@ def _predicted(design: _Design, names: Sequence[str], folds: Sequence[np.ndarray
     How stiff the laws are, whether each joint has its own, and whether that of the position may have teeth, is what
     served the other kinds best.
     """
-    teeth = design.columns[TEETH] if POSITION in names else []
-    chosen = np.concatenate([*(design.columns[name] for name in names), teeth]).astype(int)
+    teeth = design.columns[TEETH] if POSITION in names else np.zeros(0, int)
+    chosen = np.concatenate([*(design.columns[name] for name in names), teeth])
     smooth, every = np.arange(len(chosen) - len(teeth)), range(len(folds))
     finer = [np.arange(len(chosen))] if len(teeth) else []
     gram = np.stack([design.gram[fold].sum(axis=0) for fold in folds])[..., chosen[:, None], chosen]

@@ -1,6 +1,9 @@
-"""What of a diagnosis says how far its answer goes: what the rest of the error goes with."""
+"""How far a diagnosis's answer goes: whether all motions give the same, and what the rest of the error goes with."""
 
-from tcbi_infer.diagnose.evidence import Leftover
+from collections.abc import Sequence
+from typing import Any
+
+from tcbi_infer.diagnose.evidence import Agreement, Leftover
 from tcbi_infer.report import plots
 from tcbi_infer.report.page import Figure, Section, Table
 
@@ -33,5 +36,28 @@ def leftover_section(leftover: Leftover) -> Section:
         notes=[leftover.statement],
         figures=[Figure(svg, caption, wide=True)],
         table=Table(["variable", "share / %", "s.e.", "sure?"], cells),
+        folded=True,
+    )
+
+
+def agreement_section(found: Sequence[Agreement], use: str) -> Section:
+    """Each parameter's value in each kind of motion alone."""
+    model = f"the model with {use}" if use else "the model without any new effect"
+    kinds = list(dict.fromkeys(k.kind for a in found for k in a.kinds))
+    rows: list[list[Any]] = []
+    for a in found:
+        own = {k.kind: f"{k.value:.3g} ({k.low90:.3g} to {k.high90:.3g})" for k in a.kinds}
+        agree = {True: "yes", False: "no", None: "cannot be told"}[a.agrees]
+        rows.append([a.name, a.unit, a.value, agree, a.p, *(own.get(kind, "–") for kind in kinds)])
+    told = [a.statement for a in found if a.agrees is False]
+    return Section(
+        "Do the motions agree on the values?",
+        text=[
+            f"Each kind of motion alone, beginning from the common fit of {model}, with its 90 % interval; a dash "
+            "where it hardly knows the parameter. p is how often errors as large and as smooth as those of the model, "
+            "but unrelated to the parameter, would set the values as far apart."
+        ],
+        notes=told or ["No parameter's values disagree between the kinds of motion, as far as these can tell."],
+        table=Table(["parameter", "unit", "common value", "agree?", "p", *kinds], rows),
         folded=True,
     )

@@ -8,7 +8,7 @@ from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose import detectable, excitation
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis, Evidence, step_label
 from tcbi_infer.report import plots
-from tcbi_infer.report.explained import leftover_section
+from tcbi_infer.report.explained import agreement_section, leftover_section
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_sim.model import Model
 
@@ -53,6 +53,9 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
     named = [e for e in d.ranking if e.use in d.uses and e.refined]
     if named:
         report.add(_sizes(named))
+    told = d.uses[0] if d.uses and d.uses[0] in d.agreement else ""
+    if d.agreement.get(told):
+        report.add(agreement_section(d.agreement[told], told))
     if d.leftover:
         report.add(leftover_section(d.leftover))
     if d.next_motions:
@@ -90,12 +93,23 @@ def _ranking(d: Diagnosis, most: int = 12) -> Section:
             e.statistic,
             e.error_before,
             e.error_after,
+            e.sizes_in_words(),
             "yes" if e.accepted else e.reason,
             ", ".join(e.confused_with),
         ]
         for e in d.ranking
     ]
-    head = ["effect", "gain", "s.e.", "gain / s.e.", "error before", "after", "accepted?", "looks like"]
+    head = [
+        "effect",
+        "gain",
+        "s.e.",
+        "gain / s.e.",
+        "error before",
+        "after",
+        "size (90 % interval)",
+        "accepted?",
+        "looks like",
+    ]
     return Section(
         "Which effect explains the error?",
         text=[
@@ -167,7 +181,9 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
             f"The diagnosis did not accept this effect; the version is a guess. {evidence['statement']}",
             "warn",
         )
-    report.add(Section(f"{child.version} follows {parent.version}", verdict=told, tone=tone))
+    disagreements = evidence.get("disagreements", [])
+    tone = "warn" if disagreements else tone
+    report.add(Section(f"{child.version} follows {parent.version}", verdict=told, tone=tone, notes=disagreements))
     if evidence.get("errors"):
         errors = [(step_label(k), v) for k, v in evidence["errors"].items()]
         add_ladder(report, errors, repeated=evidence.get("floor_from_replicates"))
