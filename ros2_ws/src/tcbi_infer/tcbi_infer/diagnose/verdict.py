@@ -135,11 +135,11 @@ def rule(
             "of motion or more, each twice.",
         )
     if not base_converged and (accepted or base_error > WELL_PREDICTED):
-        best = f", and {accepted[0].use} may only make up for that" if accepted else ""
+        doubt = f", and {accepted[0].use} may only make up for that" if accepted else ""
         return Ruling(
             CANNOT_TELL,
             tuple(e.use for e in accepted[:1]),
-            f"The fit of the base model did not converge{best}: it errs by {base_error:.1f} times the noise floor. "
+            f"The fit of the base model did not converge{doubt}: it errs by {base_error:.1f} times the noise floor. "
             "Begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions.",
         )
     if not accepted:
