@@ -1,0 +1,52 @@
+"""The demo's story on an emulated robot, every step of it real and short: what it tells, writes and leaves behind."""
+
+import dataclasses
+import json
+
+import pytest
+
+from tcbi_bringup.commands import console
+from tcbi_bringup.commands.demo import as_json
+from tcbi_bringup.demo import page
+from tcbi_bringup.demo.plan import QUICK
+from tcbi_bringup.demo.robot import Robot, running
+from tcbi_bringup.demo.story import Story
+from tcbi_bringup.emulated_robot.physics import Specimen
+
+SHORT = dataclasses.replace(
+    QUICK,
+    motions=("steps", "sinus"),
+    repeated=1,
+    motion_s=1.2,
+    deployments=2,
+    deployment_s=1.2,
+    effects=("backlash", "payload"),
+    particles=16,
+    generations=1,
+    training_s=2.0,
+)
+STEPS = ["record", "compare", "locate", "diagnose", "add", "run", "infer", "retrain", "measure"]
+KEYS = {"hidden", "verdict", "effects", "steps", "models", "return_before", "return_after", "report"}
+
+
+@pytest.mark.graph
+@pytest.mark.slow
+def test_the_story_is_told_to_its_end_and_leaves_a_report_and_no_process(tmp_path, capsys):
+    robot = Robot(seed=3, hidden="none")
+    with running(robot, tmp_path, tmp_path / "store") as (lab, graph):
+        lab.wait(graph.check)
+        outcome = Story(robot, SHORT, tmp_path, lab).tell()
+    assert {status.state for status in graph.status()} == {"stopped"}
+    truth = Specimen.of(robot.seed, robot.hidden, robot.strength).truth()
+    report = page.write(outcome, truth, tmp_path / "report.html")
+    console.emit(as_json(outcome, truth, report))
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert set(told) >= KEYS and told["hidden"] == "none"
+    assert [step["name"] for step in told["steps"] if step["name"] in STEPS] == STEPS
+    assert [m["model"] for m in told["models"]] == ["hexapod-v0", "hexapod-v1", "hexapod-v2"]
+    assert all(m["error_over_floor"] > 0 for m in told["models"])
+    assert len(outcome.motions) == 3 and len(outcome.unseen) == 2 and len(outcome.after) == 2
+    seen = {m.rollout_id for m in (*outcome.motions, *outcome.before)}
+    assert not seen & {m.rollout_id for m in outcome.unseen}
+    text = report.read_text()
+    assert all(version in text for version in ("hexapod-v0", "hexapod-v1", "hexapod-v2")) and len(text) > 100_000
