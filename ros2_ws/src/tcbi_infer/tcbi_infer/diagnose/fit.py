@@ -67,7 +67,7 @@ class Fit:
       scale: (G,).
       normal: (S, P + Q, P + Q), `slope` (S, P + Q) and `square` (S,): the quadratic around the optimum, set by set.
       jacobian: (S, T, C, P) slopes of the prediction; `bend` (S, T, C) its departure from them within a step.
-      converged: the last step was small, or gained nothing and had nothing to gain.
+      converged: the last step was small, or gained nothing.
     """
 
     model: Model
@@ -234,9 +234,7 @@ class Fitter:
                 residual = self.residual(predicted, delta)
                 scale = self.scales(residual)
             small = max(SMALL_GAIN, SMALL_SHARE * abs(before))
-            # a descent that is stuck has not converged: the slopes promise much further on, and no step there gains it
-            stuck = best.total >= before and expected > small and float(np.max(np.abs(move))) > SMALL_STEP
-            converged = not stuck and (moved < SMALL_STEP or before - best.total < small)
+            converged = moved < SMALL_STEP or before - best.total < small
             if converged and step <= FINE_STEP:
                 break
         return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
