@@ -78,7 +78,6 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
     peer.wait_until(lambda: bool(goals), "training", WORK_S)
     assert len(refused) == 2
 
-    assert [(m.generation, m.model, m.converged, len(m.particles)) for m in running[:1]] == [(1, f"{RIG}-v0", False, 0)]
     first = posteriors[0]
     assert (first.rig, first.model, first.task) == (RIG, f"{RIG}-v1", "steps")
     assert list(first.parameter) == ["gain", "damping", "friction"]
@@ -93,6 +92,9 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
     write_rollouts(tmp_path / "bags", 6, 3)
     peer.wait_until(lambda: posteriors[-1].model == f"{RIG}-v2", "the second posterior", WORK_S)
     assert len(posteriors[-1].source_rollouts) == 6
+    # of the first inference they may be missed: nothing is kept for who listens later
+    assert running and {m.generation for m in running} == {1}
+    assert not any(m.converged or len(m.particles) for m in running)
     server.destroy()
 
 

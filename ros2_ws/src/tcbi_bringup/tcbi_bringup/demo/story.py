@@ -17,7 +17,7 @@ from tcbi_bringup.demo.narration import Narration
 from tcbi_bringup.demo.plan import Plan, Recording, recordings, slope_of
 from tcbi_bringup.demo.robot import FIRST_POLICY, Robot
 from tcbi_bringup.errors import DemoError
-from tcbi_contract.wording import with_unit
+from tcbi_contract.wording import counted, with_unit
 from tcbi_infer import posterior
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare.comparison import Comparison, compare
@@ -98,7 +98,8 @@ class Story:
             robot.result()
             self.say(
                 f"meanwhile the robot ran its task with its first policy: return {mean_return(self.out.before):.0f}, "
-                f"final inclination {tilt(self.out.before):.1f} deg; and {len(self.out.unseen)} motions for the end"
+                f"final inclination {tilt(self.out.before):.1f} deg; "
+                f"and {counted(len(self.out.unseen), 'motion')} for the end"
             )
         with self.step("infer"):
             model = self.infer(model)
@@ -123,7 +124,7 @@ class Story:
     def run_task(self) -> None:
         """The task with the first policy, and motions that only the final errors are judged on."""
         self.out.before = self._deploy(FIRST_POLICY, "before")
-        self.out.unseen = self._motions(recordings(self.plan.unseen, len(self.plan.unseen)), "unseen", 100)
+        self.out.unseen = self._motions(recordings(self.plan.unseen, repeated=0), "unseen", 100)
 
     def compare(self) -> None:
         """The base model against the measurements."""
