@@ -90,7 +90,7 @@ def _finding(
     count = np.maximum(valid.sum(axis=(0, 1)), 1)
     mean = np.where(valid, error, 0.0).sum(axis=(0, 1)) / count
     constant = float(np.sum(mean**2) / np.sum(square.sum(axis=(0, 1)) / count)) > CONSTANT
-    rms, over = float(np.sqrt(square.sum() / valid.sum())), float(np.sqrt((square / floor**2).sum() / valid.sum()))
+    rms, over = _rms(square[valid]), _rms((square / floor**2)[valid])
     text = (
         f"The {VERBS[group]} from the prediction by {_size(rms, group)}, {over:.1f} times the noise floor"
         f"{', mostly a constant offset' * constant}, while the joints stand at {over_joint:.1f} times theirs."
@@ -101,8 +101,8 @@ def _finding(
     mask, phase, elsewhere = np.ones(error.shape[:2], bool), "", float("nan")
     if scores.get(best, 0.0) >= WORST:
         mask, phase = whole.masks[best[1]], best[1]
-        rms, elsewhere = (float(np.sqrt(square[part].sum() / valid[part].sum())) for part in (mask, ~mask))
-        over = float(np.sqrt((square / floor**2)[mask].sum() / valid[mask].sum()))
+        rms, elsewhere = (_rms(square[part][valid[part]]) for part in (mask, ~mask))
+        over = _rms((square / floor**2)[mask][valid[mask]])
         text += f" It is worst {phase}: {_size(rms, group)}; elsewhere {_size(elsewhere, group)}."
         text += doubt(
             best, scores, lambda cell: whole.masks[cell[1]][..., None] & valid, lambda cell: cell[1], whole.read, valid
@@ -144,3 +144,8 @@ def _size(rms: float, group: Group) -> str:
 
 def _over(residual: np.ndarray, floor: np.ndarray, index: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean((residual[..., index] / floor[index]) ** 2)))
+
+
+def _rms(squares: np.ndarray) -> float:
+    """Root of the mean; NaN of nothing."""
+    return float(np.sqrt(squares.mean())) if squares.size else float("nan")
