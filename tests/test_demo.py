@@ -45,7 +45,7 @@ def test_the_story_is_told_to_its_end_and_leaves_a_report_and_no_process(tmp_pat
     assert [step["name"] for step in told["steps"] if step["name"] in STEPS] == STEPS
     assert [m["model"] for m in told["models"]] == ["hexapod-v0", "hexapod-v1", "hexapod-v2"]
     assert all(m["error_over_floor"] > 0 for m in told["models"])
-    assert len(outcome.motions) == 3 and len(outcome.unseen) == 1 and len(outcome.after) == 2
+    assert len(outcome.motions) == 3 and len(outcome.unseen) == 2 and len(outcome.after) == 2
     seen = {m.rollout_id for m in (*outcome.motions, *outcome.before)}
     assert not seen & {m.rollout_id for m in outcome.unseen}
     text = report.read_text()

@@ -61,10 +61,11 @@ def test_values_that_disagree_stand_in_a_table_and_in_a_sentence():
     add_diagnosis(report, dataclasses.replace(DIAGNOSIS, agreement={"": (), "coulomb_friction": (doubted, unknown)}))
     (section,) = (s for s in report.sections if s.title.startswith("Do the motions agree"))
     assert list(section.notes) == ["The motions disagree on it."]
-    assert list(section.table.head)[-3:] == ["gait0", "gait1", "gait2"]
-    first, second = section.table.rows
-    assert first[3] == "no" and first[-1] == "0.09 (0.081 to 0.099)"
-    assert second[3] == "cannot be told" and second[-1] == "–"
+    assert section.table.head == ["motion", "coulomb_friction.torque / N m", "mass / kg"]
+    rows = {row[0]: row[1:] for row in section.table.rows}
+    assert list(rows) == ["gait0", "gait1", "gait2", "all together", "do they agree?", "p"]
+    assert rows["gait2"] == ["0.09 (0.081 to 0.099)", "–"]
+    assert rows["do they agree?"] == ["no", "cannot be told"] and rows["p"] == [0.0003, "–"]
 
 
 def test_the_headline_is_no_surer_than_the_verdict():

@@ -19,7 +19,7 @@ class Plan:
     Attributes:
       motions: gaits to learn from.
       repeated: the first so many of them are recorded twice, so that the robot's own repeatability is known.
-      unseen: gaits on which only the final errors are judged; no fit ever sees them.
+      unseen: gaits on which only the final errors are judged, each recorded twice; no fit ever sees them.
       motion_s: length of each recorded motion, s.
       deployments: rollouts of the task with the first policy, and again with the new one.
       deployment_s: length of each, s; 0 for the task's own.

@@ -124,7 +124,7 @@ class Story:
     def run_task(self) -> None:
         """The task with the first policy, and motions that only the final errors are judged on."""
         self.out.before = self._deploy(FIRST_POLICY, "before")
-        self.out.unseen = self._motions(recordings(self.plan.unseen, repeated=0), "unseen", 100)
+        self.out.unseen = self._motions(recordings(self.plan.unseen, len(self.plan.unseen)), "unseen", 100)
 
     def compare(self) -> None:
         """The base model against the measurements."""

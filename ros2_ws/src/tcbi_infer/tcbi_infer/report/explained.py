@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from tcbi_contract.wording import with_unit
 from tcbi_infer.diagnose.evidence import Agreement, Leftover
 from tcbi_infer.report import plots
 from tcbi_infer.report.page import Figure, Section, Table
@@ -26,7 +27,7 @@ def leftover_section(leftover: Leftover) -> Section:
         [100 * v.share for v in rows],
         [100 * v.se for v in rows],
         [v.sure for v in rows],
-        "explained / % of the squared error beyond the noise",
+        "share of the squared error / %",
     )
     caption = "What each variable alone explains; in colour where the kinds of motion agree that it does."
     cells = [[v.name, 100 * v.share, 100 * v.se, v.sure] for v in rows]
@@ -44,20 +45,21 @@ def agreement_section(found: Sequence[Agreement], use: str) -> Section:
     """Each parameter's value in each kind of motion alone."""
     model = f"the model with {use}" if use else "the model without any new effect"
     kinds = list(dict.fromkeys(k.kind for a in found for k in a.kinds))
-    rows: list[list[Any]] = []
-    for a in found:
-        own = {k.kind: f"{k.value:.3g} ({k.low90:.3g} to {k.high90:.3g})" for k in a.kinds}
-        agree = {True: "yes", False: "no", None: "cannot be told"}[a.agrees]
-        rows.append([a.name, a.unit, a.value, agree, a.p, *(own.get(kind, "–") for kind in kinds)])
+    own = [{k.kind: f"{k.value:.3g} ({k.low90:.3g} to {k.high90:.3g})" for k in a.kinds} for a in found]
+    agree = {True: "yes", False: "no", None: "cannot be told"}
+    rows: list[list[Any]] = [[kind, *(values.get(kind, "–") for values in own)] for kind in kinds]
+    rows += [["all together", *(a.value for a in found)], ["do they agree?", *(agree[a.agrees] for a in found)]]
+    rows.append(["p", *("–" if a.p is None else a.p for a in found)])
     told = [a.statement for a in found if a.agrees is False]
     return Section(
         "Do the motions agree on the values?",
         text=[
             f"Each kind of motion alone, beginning from the common fit of {model}, with its 90 % interval; a dash "
             "where it hardly knows the parameter. p is how often errors as large and as smooth as those of the model, "
-            "but unrelated to the parameter, would set the values as far apart."
+            "but unrelated to the parameter, would set the values as far apart; a spread small beside the value "
+            "counts as agreement all the same."
         ],
         notes=told or ["No parameter's values disagree between the kinds of motion, as far as these can tell."],
-        table=Table(["parameter", "unit", "common value", "agree?", "p", *kinds], rows),
+        table=Table(["motion", *(with_unit(a.name, f"/ {a.unit}" if a.unit != "1" else "") for a in found)], rows),
         folded=True,
     )
