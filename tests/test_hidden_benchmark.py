@@ -1,8 +1,6 @@
 """The hidden-effect benchmark counts what a diagnosis says as what it is; its robots are those asked for."""
 
-import dataclasses
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -160,35 +158,3 @@ def test_the_robots_are_those_asked_for(capsys: pytest.CaptureFixture[str]) -> N
         with pytest.raises(SystemExit):
             jobs(*words)
         assert told in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("verdicts", "most", "added"),
-    [
-        (["effect", "effect", "nothing_missing"], 3, ["a", "b", ""]),
-        (["effect", "effect", "effect", "effect"], 3, ["a", "b", "c"]),
-        (["cannot_tell"], 3, [""]),
-        (["effect", "effect"], 1, ["a"]),
-    ],
-)
-def test_a_robot_with_several_effects_is_diagnosed_until_none_is_found(
-    verdicts: list[str], most: int, added: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from hidden_effects import robots
-
-    asked: list[list[str] | None] = []
-
-    def diagnosed(model: Any, seen: Any, *, uses: list[str] | None, settings: Any) -> Any:
-        asked.append(uses)
-        verdict, use = verdicts[len(asked) - 1], "abcd"[len(asked) - 1]
-        return SimpleNamespace(verdict=verdict, uses=(use,), to_json=dict)
-
-    def adopted(model: Any, use: str, found: Any) -> Any:
-        return SimpleNamespace(effects=(*model.effects, use))
-
-    monkeypatch.setattr(robots, "diagnose", diagnosed)
-    monkeypatch.setattr(robots, "adopt", adopted)
-    plan = dataclasses.replace(robots.PLANS["quick"], effects=("a", "b", "c", "d"))
-    rounds, model = robots._diagnosed(SimpleNamespace(effects=()), [], plan, most)
-    assert list(model.effects) == added and len(rounds) == len(added)
-    assert asked[0] == ["a", "b", "c", "d"] and (len(asked) < 2 or asked[1] == ["b", "c", "d"])

@@ -88,6 +88,18 @@ def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
     assert mujoco.MjModel.from_xml_path(str(file)).nu == 1
 
 
+def test_what_is_found_is_added_and_looked_beyond(bags, tmp_path, capsys):
+    report = tmp_path / "why.html"
+    words = ("diagnose", bags, "--effects", "command_latency,rotor_inertia", "--add", "--report", report)
+    found = answer(capsys, *words, "--store", tmp_path)
+    assert (found["verdict"], found["effects"], found["added"]) == ("effect", ["command_latency"], "servo_bench-v1")
+    (then,) = found["then"]
+    assert (then["model"], then["verdict"], then["added"]) == ("servo_bench-v1", "nothing_missing", None)
+    assert found["report"] == str(report) and "servo_bench-v1, with command_latency" in Path(then["report"]).read_text()
+    lines = answer(capsys, "history", "--rig", "servo_bench", "--store", tmp_path)["models"]
+    assert [v["effects"] for v in lines] == [[], ["command_latency"]]
+
+
 def test_adding_what_no_diagnosis_fitted_is_refused_in_one_line(tmp_path, capsys):
     assert cli.main(["add", "backlash", "--rig", "servo_bench", "--store", str(tmp_path)]) == 1
     error = capsys.readouterr().err

@@ -16,8 +16,8 @@ from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
 from tcbi_infer.collection import Request, scenario_of
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.diagnose.adopt import adopt
-from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, Diagnosis
+from tcbi_infer.diagnose.rounds import MOST, rounds
 from tcbi_policy.gaits import Gait
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model, base_model
@@ -31,7 +31,6 @@ BENCH = dataclasses.replace(
     effects=(),
 )
 PLANS = {"quick": QUICK, "full": FULL, "bench": BENCH}
-ROUNDS = 3  # diagnoses of a robot with several effects, at most
 Job = tuple[str, str, str, int]  # plan, hidden, strength, seed
 Result = dict[str, Any]
 
@@ -59,15 +58,15 @@ def judged(job: Job) -> Result:
     unseen = recorded(robot, recordings(plan.unseen, len(plan.unseen)), plan.motion_s, 100)
     model = base_model("hexapod")
     began, cpu = time.perf_counter(), time.process_time()
-    rounds, added = _diagnosed(model, seen, plan, ROUNDS if len(parts(hidden)) > 1 else 1)
+    found, added = _diagnosed(model, seen, plan, MOST if len(parts(hidden)) > 1 else 1)
     spent = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
     floor = compare(model, seen, particles=0).floor
     errors = [compare(m, unseen, particles=0, floor=floor).error_over_floor for m in (model, added)]
     return {
         **dict(zip(("plan", "hidden", "strength", "seed"), job, strict=True)),
-        **_told(rounds[0]),
-        "found": [use for found in rounds if found.verdict == EFFECT for use in found.uses[:1]],
-        "rounds": [_told(found) for found in rounds[1:]],
+        **_told(found[0]),
+        "found": [use for d in found if d.verdict == EFFECT for use in d.uses[:1]],
+        "rounds": [_told(d) for d in found[1:]],
         "errors": errors,
         "truth": robot.specimen.truth(),
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
@@ -76,16 +75,10 @@ def judged(job: Job) -> Result:
 
 
 def _diagnosed(model: Model, seen: list[Measurement], plan: Plan, most: int) -> tuple[list[Diagnosis], Model]:
-    """Diagnoses, each of the version that the one before made, and the last version."""
-    rounds: list[Diagnosis] = []
-    while len(rounds) < most:
-        uses = [use for use in plan.effects if use not in model.effects] or None
-        found = diagnose(model, seen, uses=uses, settings=plan.settings)
-        rounds.append(found)
-        model = adopt(model, found.uses[0] if found.verdict == EFFECT else "", found.to_json())
-        if found.verdict != EFFECT:
-            break
-    return rounds, model
+    """Diagnoses, each of the version that the one before made, and the last version: at least fitted again."""
+    found = list(rounds(model, seen, most=most, uses=plan.effects or None, anyway=True, settings=plan.settings))
+    last = found[-1]
+    return [r.diagnosis for r in found], last.added or adopt(last.model, "", last.diagnosis.to_json())
 
 
 def _told(found: Diagnosis) -> Result:

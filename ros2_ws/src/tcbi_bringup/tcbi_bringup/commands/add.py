@@ -98,8 +98,8 @@ def _fitted(args: argparse.Namespace, model: "Model", measurements: "list[Measur
             "name another version (--model) or rig (--rig), or keep the prior with --prior"
         )
     child = adopt.adopt(model, args.effect, found)  # a diagnosis of another model is told first
-    if not args.anyway:
-        adopt.offered(found, args.effect)
+    if not args.anyway and (objection := adopt.objection(found, args.effect)):
+        raise InferError(objection)
     return child
 
 

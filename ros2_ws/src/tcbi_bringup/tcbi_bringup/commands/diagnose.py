@@ -3,7 +3,7 @@
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
@@ -11,6 +11,7 @@ from tcbi_contract.wording import counted
 
 if TYPE_CHECKING:
     from tcbi_infer.diagnose import Diagnosis
+    from tcbi_infer.diagnose.rounds import Round
 
 SUMMARY = "Find the physical effect that a model lacks: candidates ranked on held-out motions, and a verdict."
 
@@ -23,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi diagnose rollouts/* --model hexapod-v1 --report why.html",
         "./tcbi diagnose rollouts/* --effects coulomb_friction,backlash --json",
         "./tcbi diagnose rollouts/* --show backlash                # and which motion would show it best",
+        "./tcbi diagnose rollouts/* --add                          # add what is found, and look for more",
         "./tcbi diagnose rollouts/* --workers ray:HOST:6379          # on a Ray cluster (docs/scale.md)",
     )
     console.add_bags(parser)
@@ -30,6 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--effects", help="comma-separated candidates (default: the whole library)")
     parser.add_argument(
         "--show", metavar="EFFECT", help="comma-separated candidates of which to say which motion would show them best"
+    )
+    parser.add_argument(
+        "--add",
+        action="store_true",
+        help="save what is found as a new version and diagnose that, until no effect is named (three effects at most)",
     )
     parser.add_argument("--refine", type=at_least(0), default=3, help="candidates that get a full fit (default: 3)")
     parser.add_argument(
@@ -45,44 +52,70 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, diagnose, remember, report, print."""
+    """Read, diagnose, remember, report, print; with `--add`, again with what was found."""
     from tcbi_infer.bags.reader import read_measurements
-    from tcbi_infer.diagnose import diagnose
-    from tcbi_infer.diagnose.adopt import remember
     from tcbi_infer.diagnose.diagnosis import find_candidates
+    from tcbi_infer.diagnose.rounds import MOST, rounds
     from tcbi_infer.diagnose.settings import QUICK, Settings
-    from tcbi_infer.report import Report, add_diagnosis
     from tcbi_sim.store import ModelStore
 
     measurements = read_measurements(args.bags)
     store = ModelStore(args.store)
     model = console.load_model(store, args.model, measurements[0].rig)
-    uses = find_candidates(model, args.effects.split(",")) if args.effects else None
+    found: list[Round] = []
+    paths: list[Path] = []
     with console.progress("diagnosing", total=100) as advance:
-        diagnosis = diagnose(
+        for one in rounds(
             model,
             measurements,
-            uses=uses,
+            most=MOST if args.add else 1,
+            uses=find_candidates(model, args.effects.split(",")) if args.effects else None,
+            keep=store.save if args.add else None,
             settings=dataclasses.replace(QUICK if args.quick else Settings(refine=args.refine), seed=args.seed),
             progress=lambda stage, share: advance(done=round(100 * share), note=stage),
             show=find_candidates(model, args.show.split(",")) if args.show else (),
-        )
-    saved = remember(diagnosis, store.folder("runs"))
-    report = Report(
-        "What does the model lack?", f"Model {model.version}, {counted(len(diagnosis.rollouts), 'rollout')}."
-    )
-    add_diagnosis(report, diagnosis)
-    path = report.write(args.report or saved.with_suffix(".html"))
+        ):
+            paths.append(_write(args.report, one, found, store.folder("runs")))
+            found.append(one)
+            if one.added and args.add:
+                console.note(f"{one.diagnosis.statement} It is in {one.added.version} now")
     if args.json:
-        console.emit({**diagnosis.to_json(), "report": str(path)})
-    else:
-        _print(diagnosis, path)
+        console.emit(_as_json(found, paths))
+        return 0
+    for one, path in zip(found, paths, strict=True):
+        _print(one.diagnosis, path, added=args.add)
+    if args.add:
+        _print_steps(found)
     return 0
 
 
-def _print(d: "Diagnosis", path: Path) -> None:
+def _write(given: Path | None, one: "Round", earlier: "list[Round]", runs: Path) -> Path:
+    """Remember a diagnosis and write its report; the file's name is for the first, later ones add their model's."""
+    from tcbi_infer.diagnose.adopt import remember
+    from tcbi_infer.diagnose.rounds import steps
+    from tcbi_infer.report import Report, add_diagnosis
+
+    d = one.diagnosis
+    saved = remember(d, runs)
+    report = Report("What does the model lack?", f"Model {d.model}, {counted(len(d.rollouts), 'rollout')}.")
+    add_diagnosis(report, d, earlier=steps(earlier))
+    if given and earlier:
+        given = given.with_stem(f"{given.stem}-{d.model}")
+    return report.write(given or saved.with_suffix(".html"))
+
+
+def _as_json(found: "list[Round]", paths: list[Path]) -> dict[str, Any]:
+    """The first diagnosis; those that followed, and the versions that were made."""
+    first, *then = [
+        {**r.diagnosis.to_json(), "report": str(path), "added": r.added.version if r.added else None}
+        for r, path in zip(found, paths, strict=True)
+    ]
+    return {**first, "then": then}
+
+
+def _print(d: "Diagnosis", path: Path, *, added: bool) -> None:
     from tcbi_infer.diagnose import detectable, excitation
-    from tcbi_infer.diagnose.agreement import disagreeing
+    from tcbi_infer.diagnose.adopt import objection
 
     for finding in d.guards:
         print(f"note: {finding}")
@@ -106,6 +139,16 @@ def _print(d: "Diagnosis", path: Path) -> None:
         print(f"  {line}")
     for command in dict.fromkeys(m.command for m in excitation.best(d.next_motions) if m.command):
         print(f"next: {command}")
-    if d.uses and not any(a.name.startswith(f"{d.uses[0]}.") for a in disagreeing(d.agreement.get(d.uses[0], ()))):
+    if not added and d.uses and not objection(d.to_json(), d.uses[0]):
         print(f"next: ./tcbi add {d.uses[0]} --model {d.model}")
     print(f"report: {path} ({d.seconds:.0f} s)")
+
+
+def _print_steps(found: "list[Round]") -> None:
+    """The error with each effect added, and why the search ended."""
+    from tcbi_infer.diagnose.rounds import steps
+
+    console.table("error over the noise floor, motions held out", ["model", "error / noise floor"], steps(found))
+    last = found[-1]
+    print(f"the search ended: {last.ending}")
+    print(f"next: ./tcbi history BAG… --rig {last.model.rig}              # on rollouts that no fit has seen")

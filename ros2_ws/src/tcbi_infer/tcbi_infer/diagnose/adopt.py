@@ -69,19 +69,16 @@ def disagreements(diagnosis: Mapping[str, Any], use: str) -> list[Mapping[str, A
     return [a for a in diagnosis.get("agreement", {}).get(use, ()) if a["agrees"] is False]
 
 
-def offered(diagnosis: Mapping[str, Any], use: str) -> None:
-    """Whether the sizes that a diagnosis fitted to an effect are offered for use.
-
-    Raises:
-      InferError: the kinds of motion disagree on one of them.
-    """
+def objection(diagnosis: Mapping[str, Any], use: str) -> str:
+    """Why the sizes that a diagnosis fitted to an effect are not offered for use; empty where they are."""
     own = [p["name"] for e in diagnosis["ranking"] if e["use"] == use for p in e["parameters"]]
     told = [a["statement"] for a in disagreements(diagnosis, use) if a["name"] in own]
-    if told:
-        raise InferError(
-            f"{use} is not offered for use. {' '.join(told)} See the values in the report, and look for what else "
-            "differs between these motions; or add it all the same with --anyway"
-        )
+    if not told:
+        return ""
+    return (
+        f"{use} is not offered for use. {' '.join(told)} See the values in the report, and look for what else "
+        "differs between these motions; or add it all the same with `./tcbi add --anyway`"
+    )
 
 
 def draw(model: Model, values: np.ndarray, spread: np.ndarray, seed: int) -> np.ndarray:

@@ -324,11 +324,10 @@ class _Run:
 
 def _bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:
     """A sentence on each parameter that the fits left at an end of its range."""
-    return [
-        f"{p.name} stopped at an end of its range, {with_unit(f'{p.value:.3g}', p.unit)}: its interval is one-sided, "
-        "and "
-        + ("a wrong range or another missing effect may be behind it." if e is base else "the effect may be larger.")
-        for e in (base, *named)
-        for p in e.parameters
-        if p.at_bound
-    ]
+    told = []
+    for e in (base, *named):
+        why = "a wrong range or another missing effect may be behind it" if e is base else "the effect may be larger"
+        for p in (p for p in e.parameters if p.at_bound):
+            end = with_unit(f"{p.value:.3g}", p.unit)
+            told.append(f"{p.name} stopped at an end of its range, {end}: its interval is one-sided, and {why}.")
+    return told

@@ -37,15 +37,22 @@ def add_ladder(
     report.add(Section("How wrong is the model?", text=[explain, *([text] if text else [])], figures=[figure]))
 
 
-def add_diagnosis(report: Report, diagnosis: Diagnosis) -> None:
-    """The verdict, the ladder, the ranking, the fitted sizes, what the verdict rests on."""
+def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[str, float]] = ()) -> None:
+    """The verdict, the ladder, the ranking, the fitted sizes, what the verdict rests on.
+
+    Args:
+      report: that it is added to.
+      diagnosis: what was found.
+      earlier: steps of the ladder that led to the model diagnosed: label and error over the noise floor.
+    """
     d = diagnosis
     tone = {EFFECT: "warn", NOTHING_MISSING: "good"}.get(d.verdict, "neutral")
     sizes = Table(detectable.HEAD, detectable.rows(d.detectable), detectable.TITLE) if d.detectable else None
     report.add(Section(d.headline, verdict=d.statement, tone=tone, notes=d.claims, table=sizes, folded=True))
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
-    add_ladder(report, [(step_label(k), v) for k, v in d.errors.items()], repeated=d.floor_from_replicates)
+    own = [(step_label(k), v) for k, v in d.errors.items()]
+    add_ladder(report, [*earlier, *own], repeated=d.floor_from_replicates)
     if d.ranking:
         report.add(_ranking(d))
     if d.moments:
