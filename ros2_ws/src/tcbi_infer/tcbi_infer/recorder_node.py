@@ -109,8 +109,8 @@ class RecorderNode(Node):
         self.create_subscription(String, names.POLICY_STATUS, self._on_policy, messages.LATCHED_QOS)
 
     def _handler(self, topic: str) -> Any:
-        def handle(data: bytes) -> None:
-            self._take(topic, data)
+        def handle(data: bytes, info: dict[str, int]) -> None:
+            self._take(topic, data, info["received_timestamp"])
             # take all that waits at once: a wait set costs more than ten messages
             subscription = self._raw[topic]
             while True:
@@ -118,13 +118,14 @@ class RecorderNode(Node):
                     more = subscription.handle.take_message(subscription.msg_type, True)
                 if more is None:
                     return
-                self._take(topic, more[0])
+                self._take(topic, more[0], more[1]["received_timestamp"])
 
         return handle
 
-    def _take(self, topic: str, data: bytes) -> None:
+    def _take(self, topic: str, data: bytes, received: int) -> None:
+        """One message; `received` is when the middleware had it (ns), however long this node was busy then."""
         stamp = stamp_of(data) or 0
-        now = self.get_clock().now().nanoseconds
+        now = self.get_clock().now().nanoseconds if self.simulated_time else received
         if stamp <= 0:
             stamp = now
         elif self._newest.get(topic) == data:

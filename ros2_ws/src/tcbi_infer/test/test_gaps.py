@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tcbi_contract.names import JOINT_COMMANDS
-from tcbi_infer.bags.commands import late_commands
+from tcbi_infer.bags.commands import late_commands, read_commands
+from tcbi_infer.bags.streams import Record
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.errors import NothingToCompareError
 from tcbi_infer.compare.replay import Replay
@@ -115,13 +116,34 @@ def test_a_command_that_came_late_spoils_the_rest_of_a_rollout_on_feet(rollout):
     assert "due at 2.00 s came 0.33 s late" in found.sentences[0]
 
 
-def test_commands_are_late_against_their_usual_delay_and_never_where_clocks_differ():
-    def recorded(delays_ms, offset_ms=0):
-        stamps = np.arange(len(delays_ms)) * 200_000_000
-        came = stamps + (np.array(delays_ms) + offset_ms) * 1_000_000
-        records = [SimpleNamespace(stamp=int(s), log_time=int(c)) for s, c in zip(stamps, came, strict=True)]
-        return SimpleNamespace(records={JOINT_COMMANDS: records})
+def recorded(delays_ms, offset_ms=0):
+    """One joint's commands 1, 2, 3, ... at every 0.2 s, as they came to the recorder."""
+    stamps = np.arange(len(delays_ms)) * 200_000_000
+    came = stamps + (np.array(delays_ms) + offset_ms) * 1_000_000
+    records = []
+    for number, (stamp, log_time) in enumerate(zip(stamps, came, strict=True), 1):
+        reached = SimpleNamespace(sec=0, nanosec=200_000_000)
+        point = SimpleNamespace(positions=np.array([float(number)]), effort=np.empty(0), time_from_start=reached)
+        message = SimpleNamespace(joint_names=["hinge"], points=[point])
+        records.append(Record(int(stamp), int(log_time), message))
+    return SimpleNamespace(records={JOINT_COMMANDS: records})
 
+
+@pytest.mark.parametrize(
+    ("delays_ms", "offset_ms", "time", "target"),
+    [
+        ([12, 12, 73, 12], 0, [0.012, 0.212, 0.473, 0.612], [1, 2, 3, 4]),
+        ([12, 250, 50, 12], 0, [0.012, 0.45, 0.612], [1, 3, 4]),  # two came together
+        ([0, 0, 0, 0], 0, [0.0, 0.2, 0.4, 0.6], [1, 2, 3, 4]),  # simulated time
+        ([12, 12, 73, 12], 5000, [0.0, 0.2, 0.4, 0.6], [1, 2, 3, 4]),  # the recorder has another clock
+    ],
+)
+def test_a_command_acts_when_it_came(delays_ms, offset_ms, time, target):
+    commands = read_commands(recorded(delays_ms, offset_ms), ("hinge",), 0, 800_000_000, [])
+    assert commands.time == pytest.approx(time) and commands.target[:, 0].tolist() == target
+
+
+def test_commands_are_late_against_their_usual_delay_and_never_where_clocks_differ():
     assert late_commands(recorded([12, 12, 13, 340, 12]), 0, None) == [(pytest.approx(0.6), pytest.approx(0.94))]
     assert late_commands(recorded([12, 12, 13, 90, 12]), 0, None) == []
     assert late_commands(recorded([12, 12, 13, 340, 12], offset_ms=5000), 0, None) == []

@@ -192,19 +192,17 @@ def _follow(
 
 
 def _listen(process: TrainingProcess, on_event: Callable[[Event], None], cancelled: Callable[[], bool]) -> Event | None:
-    comparison: Event | None = None
-    while True:
-        if cancelled():
-            return None
+    """The comparison, which is the last that the process has to say; None if cancelled."""
+    while not cancelled():
         event, closed = process.poll(POLL_S)
         if closed:
             process.check()
-            if comparison is None:
-                raise TrainingError("training ended without a comparison")
-            return comparison
+            raise TrainingError("training ended without a comparison")
         if event is not None:
-            comparison = event if event["event"] == "comparison" else comparison
             on_event(event)
+            if event["event"] == "comparison":
+                return event
+    return None
 
 
 def publish(folder: Path, root: Path, task: str, name: str = "", comparison: Event | None = None) -> Policy:

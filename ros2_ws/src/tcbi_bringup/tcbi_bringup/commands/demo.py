@@ -3,6 +3,7 @@
 import argparse
 import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,18 +52,19 @@ def run(args: argparse.Namespace) -> int:
     folder = folder.expanduser().resolve()
     folder.mkdir(parents=True, exist_ok=True)
     console.note(f"everything goes to {folder}")
-    with running(robot, folder, folder / "store") as (lab, graph):
+    with running(robot, folder, folder / "store") as (lab, graph), ThreadPoolExecutor(1) as beside:
         os.nice(NICENESS)  # the robot moves in real time, whatever is loaded and computed beside it
         from tcbi_bringup.demo.plan import FULL, QUICK  # seconds of imports, while the nodes start
         from tcbi_bringup.demo.story import Story
 
         lab.wait(graph.check)
         outcome = Story(robot, QUICK if args.quick else FULL, folder, lab).tell()
-    from tcbi_bringup.demo import page
-    from tcbi_bringup.emulated_robot.physics import Specimen
+        beside.submit(graph.stop)  # seconds, too
+        from tcbi_bringup.demo import page
+        from tcbi_bringup.emulated_robot.physics import Specimen
 
-    truth = Specimen.of(args.seed, args.hidden or None, args.strength).truth()
-    report = page.write(outcome, truth, folder / "report.html")
+        truth = Specimen.of(args.seed, args.hidden or None, args.strength).truth()
+        report = page.write(outcome, truth, folder / "report.html")
     if args.json:
         console.emit(as_json(outcome, truth, report))
     else:

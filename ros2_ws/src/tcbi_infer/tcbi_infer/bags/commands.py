@@ -1,5 +1,6 @@
-"""The commands of a recording, as the servos were given them."""
+"""The commands of a recording, as and when the servos were given them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,35 +25,41 @@ def read_commands(
     (N m); one with positions and an effort of zero, or a trajectory without points, is a command with the torque off.
     """
     rows: list[Row] = []
+    sent: list[int] = []  # ns, when the robot got each row
     strange = 0
-    for record in recording.records.get(JOINT_COMMANDS, []):
+    records = recording.records.get(JOINT_COMMANDS, [])
+    for record, delay in zip(records, sending_delays(records), strict=True):
         found = _rows(record, joint_names, rows[-1][1] if rows else None)
         if found is None:
             strange += 1
         else:
             rows += found
+            sent += [row[0] + int(delay) for row in found]
     if strange:
         notes.append(f"{JOINT_COMMANDS}: left out {counted(strange, 'message')} without the names of the rig's joints")
     if not rows:
         notes.append(f"no {JOINT_COMMANDS}: nothing can be simulated again with the same commands")
         return Commands(np.empty(0), np.empty((0, len(joint_names))))
     stamp = np.array([row[0] for row in rows], np.int64)
-    delay = sending_delay(recording.records[JOINT_COMMANDS])
     order = ordered(JOINT_COMMANDS, stamp, notes)
-    inside = (stamp[order] >= begin) & ((stamp[order] < end) if end is not None else True)
-    return _commands([rows[i] for i in order[inside]], len(joint_names), begin - delay, notes)
+    order = order[(stamp[order] >= begin) & ((stamp[order] < end) if end is not None else True)]
+    arrival = np.array(sent, np.int64)[order]
+    later = np.minimum.accumulate(np.r_[arrival[1:], np.iinfo(np.int64).max][::-1])[::-1]
+    order = order[arrival < later]  # of two that came together the first has no effect
+    return _commands([(sent[i], *rows[i][1:]) for i in order], len(joint_names), begin, notes)
 
 
-def sending_delay(records: list[Record]) -> int:
-    """How long after their stamps commands were sent (ns): the median delay of their arrival at the recorder.
+def sending_delays(records: Sequence[Record]) -> np.ndarray:
+    """(K,) ns, how long after its stamp each command came to the recorder, and so to the robot.
 
     A command bears the stamp of its control tick. The policy sends it when the sensors of that tick have arrived, some
-    ten milliseconds later in real time; taken for the robot's, that time would look like a latency. Recordings of
-    simulated time have none, and where the recorder's clock is another one than the stamps' nothing is corrected.
+    ten milliseconds later in real time, and at times much later where the machine is busy; taken for the robot's, that
+    time would look like a latency. Recordings of simulated time have none, and where the recorder's clock is another
+    one than the stamps' nothing is corrected.
     """
-    delays = np.array([record.log_time - record.stamp for record in records])
-    median = int(np.median(delays))
-    return median if 0 < median < MOST_DELAY_NS else 0
+    delays = np.array([record.log_time - record.stamp for record in records], np.int64)
+    known = len(delays) > 0 and 0 < np.median(delays) < MOST_DELAY_NS
+    return np.maximum(delays, 0) if known else np.zeros_like(delays)
 
 
 def late_commands(recording: Recording, begin: int, end: int | None) -> list[tuple[float, float]]:
@@ -61,11 +68,14 @@ def late_commands(recording: Recording, begin: int, end: int | None) -> list[tup
     Where the clocks of stamps and recorder differ, or time is simulated, nothing is known of it.
     """
     records = recording.records.get(JOINT_COMMANDS, [])
-    usual = sending_delay(records) if records else 0
-    if not usual:
-        return []
-    late = [r for r in records if r.log_time - r.stamp - usual > LATE_NS and begin <= r.stamp < (end or r.stamp + 1)]
-    return [((r.stamp - begin) / 1e9, (r.log_time - begin) / 1e9) for r in late]
+    delays = sending_delays(records)
+    usual = np.median(delays) if records else 0.0
+    late = [
+        (r.stamp, r.stamp + int(delay))
+        for r, delay in zip(records, delays, strict=True)
+        if delay - usual > LATE_NS and begin <= r.stamp < (end or r.stamp + 1)
+    ]
+    return [((due - begin) / 1e9, (came - begin) / 1e9) for due, came in late]
 
 
 def _rows(record: Record, joint_names: tuple[str, ...], last: np.ndarray | None) -> list[Row] | None:
