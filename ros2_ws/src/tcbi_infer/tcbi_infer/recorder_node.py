@@ -12,12 +12,13 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.subscription import Subscription
 from std_msgs.msg import Float64, String
 
 from tcbi_contract import messages, names
@@ -33,7 +34,37 @@ from tcbi_infer.recorder import Recorder
 from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import RolloutEvent
 
+FETCH_PERIOD_S = 0.03
+EVENT_TICKS = 33  # of this period, between two looks at events
 QUEUE = 2000  # messages of one topic that may wait: ten seconds at 200 Hz
+
+
+class Fetched(CallbackGroup):
+    """Of subscriptions whose messages the node fetches: the executor leaves these alone.
+
+    Their events (messages lost, a profile that does not fit) it hears of only now and then: whoever waits for events of
+    a subscription is woken by each of its messages, too.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.with_events = False
+
+    def can_execute(self, entity: Any) -> bool:
+        """Events, while they are wanted."""
+        return self.with_events and not isinstance(entity, Subscription)
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """An event has been waited for, so that it may be told."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing to do."""
+
+    @staticmethod
+    def never(_: bytes) -> None:
+        """The callback of the subscriptions."""
+        raise AssertionError("a message that should have been fetched was handed over")
 
 
 @dataclass(frozen=True)
@@ -73,6 +104,7 @@ class RecorderNode(Node):
         self.distance: float | None = None  # the operator's entry
         self.policy_id = ""  # of the policy that is loaded, as far as it is known
         self._foreign_end: bytes | None = None
+        self._ticks = 0
         self._newest: dict[str, bytes] = {}  # by topic
         self._listen()
         self.events = self.create_publisher(RolloutEvent, names.ROLLOUT_EVENT, messages.LATCHED_QOS)
@@ -90,37 +122,34 @@ class RecorderNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self.values.flush_period_s, self._on_flush, clock=steady)
         self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._diagnose, clock=steady)
-        self.create_timer(0.05, self._on_tick, clock=steady)
+        self.create_timer(FETCH_PERIOD_S, self._on_tick, clock=steady)
         self.get_logger().info(f"records into {self.folder.path.resolve()}")
 
     # -- listening ------------------------------------------------------------------------------------------------
 
     def _listen(self) -> None:
-        self._raw: dict[str, Any] = {}
+        self._streams: dict[str, Any] = {}  # by full name
         lost = SubscriptionEventCallbacks(message_lost=self._on_lost)
         qos = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=QUEUE, reliability=ReliabilityPolicy.RELIABLE)
+        self._fetched = Fetched()
         for name, message_type in STREAMS.items():
-            topic = self.resolve_topic_name(name)
-            self._raw[topic] = self.create_subscription(
-                message_type, name, self._handler(topic), qos, raw=True, event_callbacks=lost
+            self._streams[self.resolve_topic_name(name)] = self.create_subscription(
+                message_type, name, Fetched.never, qos, callback_group=self._fetched, raw=True, event_callbacks=lost
             )
         self.create_subscription(RolloutEvent, names.ROLLOUT_EVENT, self._on_event, messages.LATCHED_QOS, raw=True)
         self.create_subscription(Float64, names.DISTANCE, self._on_distance, 10)
         self.create_subscription(String, names.POLICY_STATUS, self._on_policy, messages.LATCHED_QOS)
 
-    def _handler(self, topic: str) -> Any:
-        def handle(data: bytes, info: dict[str, int]) -> None:
-            self._take(topic, data, info["received_timestamp"])
-            # take all that waits at once: a wait set costs more than ten messages
-            subscription = self._raw[topic]
+    def _fetch(self) -> None:
+        """Take all messages that wait; a wait set for each would cost more than ten messages."""
+        for topic, stream in self._streams.items():
             while True:
-                with subscription.handle:
-                    more = subscription.handle.take_message(subscription.msg_type, True)
-                if more is None:
-                    return
-                self._take(topic, more[0], more[1]["received_timestamp"])
-
-        return handle
+                with stream.handle:
+                    found = stream.handle.take_message(stream.msg_type, True)
+                if found is None:
+                    break
+                data, info = found
+                self._take(topic, data, info["received_timestamp"])
 
     def _take(self, topic: str, data: bytes, received: int) -> None:
         """One message; `received` is when the middleware had it (ns), however long this node was busy then."""
@@ -213,6 +242,9 @@ class RecorderNode(Node):
         self._diagnose()
 
     def _on_tick(self) -> None:
+        self._fetch()
+        self._ticks += 1
+        self._fetched.with_events = self._ticks % EVENT_TICKS == 0
         self._calm = self._calm and not self.collector.stop_policy()
         if self._foreign_end is not None and self.recorder.settled(time.monotonic()):
             self._finish_foreign(self._foreign_end)
@@ -261,6 +293,7 @@ class RecorderNode(Node):
 
     def destroy_node(self) -> None:
         """Finish what is being recorded, as aborted, then end."""
+        self._fetch()
         rollout = self.recorder.rollout
         if rollout is not None:
             now = max(self.get_clock().now().nanoseconds, rollout.begin)
