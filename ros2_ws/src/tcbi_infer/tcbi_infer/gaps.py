@@ -3,9 +3,8 @@
 A simulation gets the commands that were recorded, the last one being held. A robot on feet gets them in a steady flow,
 and goes limp where it ends. Where several are missing it was told something else, or nothing; either way the error says
 nothing about the model from the moment the first was due, and to the end, since what the robot did in between stays in
-its feet, its place and its posture. A command that came late is like one that is missing. One missing command counts as
-never sent, and is said. A test bench may be told
-only what changes, so that nothing is missing from its commands.
+its feet, its place and its posture. One missing command counts as never sent, and is said; one that came late acts when
+it came. A test bench may be told only what changes, so that nothing is missing from its commands.
 """
 
 from dataclasses import dataclass
@@ -18,8 +17,8 @@ GAP_S = 0.1  # the least that counts as a gap
 GAP_PERIODS = 5  # a gap in samples is also longer than so many sample periods
 COMMAND_PERIODS = 2.5  # a gap in commands: two are missing; after as long a silence a robot goes limp
 MISSING_ONE = 1.5  # command periods
+LATE = 0.75  # command periods: as short a step after a long one, and the command was late
 REGULAR = 1.3  # steps of a steady stream of commands, in periods; only such a stream can lack one
-LATE_COMMAND = "late command"  # a gap of this name reaches from when a command was due to when it came
 AVERAGE_S = 0.05  # body rates and contacts are compared as averages, which reach so far
 
 
@@ -99,8 +98,6 @@ def unusable(m: Measurement, time: np.ndarray) -> Unusable:
         sentences.append(f"No samples from {gap.begin:.2f} to {gap.end:.2f} s: left out of every error")
     signals: dict[str, np.ndarray] = {}
     for name, begin, stop in m.gaps:
-        if name == LATE_COMMAND:
-            continue
         signals[name] = signals.get(name, np.zeros(len(time), bool)) | _around(Gap(begin, stop), time)
     if not m.foot_names:
         return Unusable(samples, samples | averages, signals, tuple(sentences))
@@ -113,14 +110,6 @@ def unusable(m: Measurement, time: np.ndarray) -> Unusable:
             f"No commands from {gap.begin:.2f} {until}, so the model is not told what the robot was: left out of every "
             f"error from {due:.2f} s on"
         )
-    for name, due, came in m.gaps:
-        if name == LATE_COMMAND:
-            samples |= time > due
-            sentences.append(
-                f"The command that was due at {due:.2f} s came {came - due:.2f} s late, but the model is told in time: "
-                f"left out of every error from {due:.2f} s on"
-            )
-            break
     return Unusable(samples, samples | averages, signals, (*sentences, *_single(m.commands, end)))
 
 
@@ -130,7 +119,14 @@ def _around(gap: Gap, time: np.ndarray) -> np.ndarray:
 
 
 def _single(commands: Commands, end: float) -> list[str]:
-    gaps = [g for g in command_gaps(commands, end, MISSING_ONE) if g not in command_gaps(commands, end)]
+    """A sentence where single commands are missing; one that came late leaves a short step behind the long one."""
+    period = float(np.median(np.diff(commands.time))) if len(commands.time) > 1 else 0.0
+    after = dict(zip(commands.time[:-1].tolist(), np.diff(commands.time).tolist(), strict=True))
+    gaps = [
+        g
+        for g in command_gaps(commands, end, MISSING_ONE)
+        if g not in command_gaps(commands, end) and after.get(g.end, period) > LATE * period
+    ]
     if not gaps:
         return []
     at = ", ".join(f"{g.begin:.2f}" for g in gaps[:3]) + (" …" if len(gaps) > 3 else "")

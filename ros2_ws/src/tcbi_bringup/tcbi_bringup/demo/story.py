@@ -26,6 +26,7 @@ from tcbi_infer.compare.history import remember as remember_errors
 from tcbi_infer.diagnose.adopt import adopt, remember
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis
+from tcbi_infer.gaps import unusable
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import LEAST_ESS, Result
@@ -231,13 +232,19 @@ class Story:
 
     def _motions(self, wanted: list[Recording], name: str, seed: int, advance: Advance = _silent) -> list[Measurement]:
         """Record; the ground is tilted another way under each motion."""
-        folder, bags = self.folder / "rollouts" / name, []
+        folder, recorded = self.folder / "rollouts" / name, []
         for i, gait, _ in wanted:
-            bags += self._collect(
-                TASK, f"gait:{gait}", 1, seed + i, folder, duration_s=self.plan.motion_s, slopes=[slope_of(i)]
-            )
+            request = (TASK, f"gait:{gait}", 1, seed + i, folder)
+            for left in reversed(range(RECORDINGS)):
+                bags = self._collect(*request, duration_s=self.plan.motion_s, slopes=[slope_of(i)])
+                (measurement,) = read_measurements(bags)
+                spoilt = unusable(measurement, measurement.time).sentences
+                if not (spoilt and left):
+                    break
+                self.say(f"{spoilt[0]}; it is recorded again")
+            recorded.append(measurement)
             advance(1)
-        return read_measurements(bags)
+        return recorded
 
     def _deploy(self, policy: str, name: str, advance: Advance = _silent) -> list[Measurement]:
         """The task with a policy; the same seeds, hence the same slopes, before and after."""

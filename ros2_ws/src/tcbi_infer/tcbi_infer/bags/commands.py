@@ -11,7 +11,6 @@ from tcbi_infer.bags.streams import Record, Recording, ordered
 from tcbi_sim.measurement import Commands
 
 MOST_DELAY_NS = 100_000_000
-LATE_NS = 100_000_000  # more than usual: the robot has been told something else for half a control period
 
 Row = tuple[int, np.ndarray, float, bool]  # stamp (ns), targets, ramp (s), torque on
 
@@ -60,22 +59,6 @@ def sending_delays(records: Sequence[Record]) -> np.ndarray:
     delays = np.array([record.log_time - record.stamp for record in records], np.int64)
     known = len(delays) > 0 and 0 < np.median(delays) < MOST_DELAY_NS
     return np.maximum(delays, 0) if known else np.zeros_like(delays)
-
-
-def late_commands(recording: Recording, begin: int, end: int | None) -> list[tuple[float, float]]:
-    """From when commands were due to when they came (s), of those that came much later than usual: a stalled machine.
-
-    Where the clocks of stamps and recorder differ, or time is simulated, nothing is known of it.
-    """
-    records = recording.records.get(JOINT_COMMANDS, [])
-    delays = sending_delays(records)
-    usual = np.median(delays) if records else 0.0
-    late = [
-        (r.stamp, r.stamp + int(delay))
-        for r, delay in zip(records, delays, strict=True)
-        if delay - usual > LATE_NS and begin <= r.stamp < (end or r.stamp + 1)
-    ]
-    return [((due - begin) / 1e9, (came - begin) / 1e9) for due, came in late]
 
 
 def _rows(record: Record, joint_names: tuple[str, ...], last: np.ndarray | None) -> list[Row] | None:

@@ -18,13 +18,13 @@ import numpy as np
 
 from tcbi_contract.names import FOOT_CONTACTS, IMU, JOINT_STATES, JOINTS, LEGS, TRACKER_POSE
 from tcbi_contract.wording import counted
-from tcbi_infer.bags.commands import late_commands, read_commands
+from tcbi_infer.bags.commands import read_commands
 from tcbi_infer.bags.files import find_bags
 from tcbi_infer.bags.readings import read_readings
 from tcbi_infer.bags.rollouts import Span, lacking, spans
 from tcbi_infer.bags.streams import Recording, Stream, load, stream
 from tcbi_infer.errors import BagError
-from tcbi_infer.gaps import GAP_PERIODS, GAP_S, LATE_COMMAND, sample_gaps
+from tcbi_infer.gaps import GAP_PERIODS, GAP_S, sample_gaps
 from tcbi_sim.measurement import Measurement, continuous
 
 HEXAPOD = "hexapod"
@@ -91,7 +91,6 @@ def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Me
     contact = read(FOOT_CONTACTS, contact_row, "contact")
     position = read(TRACKER_POSE, _position, "position")
     _say_missing(recording, rig, notes)
-    gaps += [(LATE_COMMAND, due, came) for due, came in late_commands(recording, span.begin, span.end)]
     attitude = imu["attitude"]
     return Measurement(
         rollout_id=span.rollout_id,

@@ -14,7 +14,7 @@ import numpy as np
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 
 SAME_TARGET = 2e-3  # rad
-SAME_TIME = 0.1  # s, jitter of a live command stream: what comes later still is no longer used (bags/commands.py)
+SAME_TIME = 0.1  # s, jitter of a live command stream; half a control period
 SAME_SHAPE = 0.1  # of a motion's spread
 MIN_KINDS = 5  # fewer kinds than this give no 5 % claim
 
