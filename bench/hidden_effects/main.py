@@ -3,6 +3,7 @@
 ./tcbi bench hidden --quick                                              # one robot of each of seven kinds
 ./tcbi bench hidden -- --plan bench --hidden all --strength strong,weak --seeds 400:405 --keep all.jsonl
 ./tcbi bench hidden -- --plan bench --hidden none --seeds 300:400 --keep none.jsonl
+./tcbi bench hidden -- --judge --keep bench/hidden_effects/judged/quick.jsonl              # on robots of no development
 ./tcbi bench hidden -- --plan bench --hidden none --outside --pairs --seeds 400:403 --keep more.jsonl
 
 Each robot is an emulated one (its own physics; docs/emulated_robot.md), recorded and diagnosed in process and faster
@@ -22,6 +23,7 @@ from hidden_effects.robots import PLANS, Job, Result, results
 from tcbi_bringup.emulated_robot.hidden_names import DRAWN, LIBRARY, NONE, OUTSIDE, STRENGTHS, hidden
 
 SETS = {"six": (NONE, *DRAWN), "all": (NONE, *LIBRARY)}
+JUDGED, JUDGED_EMPTY = range(800, 805), range(800, 900)  # robots that nothing is ever chosen on
 PAIRED = (*DRAWN, "command_deadband", "imu_tilt", "rotor_inertia", "torque_saturation")
 
 
@@ -50,6 +52,12 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--pairs", action="store_true", help=f"all pairs of {len(PAIRED)} effects, too")
     p.add_argument("--outside", action="store_true", help=f"the {len(OUTSIDE)} effects outside the library, too")
     p.add_argument("--strength", type=strengths, default=STRENGTHS[0], help="strong (default), weak, or both by comma")
+    p.add_argument(
+        "--judge",
+        action="store_true",
+        help=f"robots {JUDGED[0]} to {JUDGED[-1]} with each effect at both strengths, {JUDGED_EMPTY[0]} to "
+        f"{JUDGED_EMPTY[-1]} with nothing, in place of --seeds and --strength: look, and change nothing for them",
+    )
     p.add_argument("--seeds", type=seeds, default="200:203", help="first:end of the robots' numbers (default: 200:203)")
     p.add_argument("--keep", type=Path, help="file of results, one JSON object a line")
     p.add_argument("--workers", type=int, default=2)
@@ -83,12 +91,18 @@ def jobs_of(options: argparse.Namespace) -> list[Job]:
         wanted += ["+".join(pair) for pair in itertools.combinations(PAIRED, 2)]
     if options.outside:
         wanted += OUTSIDE
-    return [
-        ("quick" if options.quick else options.plan, kind, strength, seed)
-        for seed in (options.seeds[:1] if options.quick else options.seeds)
+    plan = "quick" if options.quick else options.plan
+    numbers = JUDGED if options.judge else options.seeds[:1] if options.quick else options.seeds
+    strong_and_weak = STRENGTHS if options.judge else options.strength
+    jobs = [
+        (plan, kind, strength, seed)
+        for seed in numbers
         for kind in dict.fromkeys(wanted)
-        for strength in (options.strength if kind != NONE else STRENGTHS[:1])
+        for strength in (strong_and_weak if kind != NONE else STRENGTHS[:1])
     ]
+    if options.judge and NONE in wanted:
+        jobs += [(plan, NONE, STRENGTHS[0], seed) for seed in JUDGED_EMPTY if seed not in JUDGED]
+    return jobs
 
 
 def progress(done: int, count: int, left_s: float, result: Result) -> None:

@@ -1,10 +1,12 @@
 """The emulated robot's program says what it is asked for, and refuses in one line."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
 
+from tcbi_bringup.emulated_robot import main as module
 from tcbi_bringup.emulated_robot.main import main
 from tcbi_bringup.emulated_robot.physics import Specimen
 
@@ -20,6 +22,17 @@ def test_a_named_effect_leaves_the_robots_plain_parameters_as_its_seed_drew_them
     drawn, named = Specimen.of(7).truth(), Specimen.of(7, "none").truth()
     assert named["hidden"] == "none" and named["effect"] == {}
     assert [drawn[k] for k in ("friction", "mass", "gain")] == [named[k] for k in ("friction", "mass", "gain")]
+
+
+def test_a_fault_of_its_own_ends_as_a_crash_with_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(_: object) -> int:
+        raise ZeroDivisionError("a fault")
+
+    monkeypatch.setattr(module, "run", broken)
+    assert main([]) == os.EX_SOFTWARE
+    assert "ZeroDivisionError: a fault" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

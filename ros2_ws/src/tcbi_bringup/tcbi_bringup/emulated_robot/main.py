@@ -12,9 +12,11 @@ import argparse
 import contextlib
 import json
 import logging
+import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -54,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; 0 on Ctrl-C, 1 with one line on what a user can mend."""
+    """Entry point; 0 on Ctrl-C, 1 with one line on what a user can mend, EX_SOFTWARE of a fault of its own."""
     options = parser().parse_args(args)
     logging.basicConfig(level=logging.WARNING, format="emulated_robot: %(message)s", stream=sys.stderr)
     try:
@@ -62,6 +64,9 @@ def main(args: Sequence[str] | None = None) -> int:
     except TcbiError as error:
         print(f"emulated_robot: {error}", file=sys.stderr)
         return 1
+    except Exception:  # noqa: BLE001 - nothing is hidden; the launcher tells a crash, as that of a node, from a mistake
+        traceback.print_exc()
+        return os.EX_SOFTWARE
 
 
 def run(options: argparse.Namespace) -> int:
