@@ -164,6 +164,7 @@ class Collector:
                     "(sim_node or driver_node) still running?"
                 )
             if request.policy != NO_POLICY:
+                node.fetch()  # simulated time may have run on for long since the last time
                 self._require_commands()
             if time.monotonic() - told > FEEDBACK_S:
                 told = time.monotonic()

@@ -22,7 +22,8 @@ from tcbi_infer.errors import RecordingError
 BEFORE_S = 2.0  # how much is kept in case that a BEGIN is still on its way
 BEFORE_MESSAGES = 4000
 SETTLE_S = 1.0  # wall time that a late message after END is waited for
-SENSORS = (names.JOINT_STATES, names.IMU, names.FOOT_CONTACTS)  # what marks the progress of a rollout's time
+# what marks the progress of a rollout's time; the distance is that of the last pose
+SENSORS = (names.JOINT_STATES, names.IMU, names.FOOT_CONTACTS, names.TRACKER_POSE)
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ class Recorder:
             self.rollout.end, self.rollout.ended_at_s = end, wall_s
 
     def settled(self, wall_s: float) -> bool:
-        """Whether every sensor topic has reached the end, or was waited for long enough."""
+        """Whether every sensor topic that has spoken has reached the end, or was waited for long enough."""
         rollout = self.rollout
         if rollout is None or rollout.end is None or rollout.ended_at_s is None:
             return False

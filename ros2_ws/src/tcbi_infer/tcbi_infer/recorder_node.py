@@ -140,7 +140,7 @@ class RecorderNode(Node):
         self.create_subscription(Float64, names.DISTANCE, self._on_distance, 10)
         self.create_subscription(String, names.POLICY_STATUS, self._on_policy, messages.LATCHED_QOS)
 
-    def _fetch(self) -> None:
+    def fetch(self) -> None:
         """Take all messages that wait; a wait set for each would cost more than ten messages."""
         for topic, stream in self._streams.items():
             while True:
@@ -242,7 +242,7 @@ class RecorderNode(Node):
         self._diagnose()
 
     def _on_tick(self) -> None:
-        self._fetch()
+        self.fetch()
         self._ticks += 1
         self._fetched.with_events = self._ticks % EVENT_TICKS == 0
         self._calm = self._calm and not self.collector.stop_policy()
@@ -293,7 +293,7 @@ class RecorderNode(Node):
 
     def destroy_node(self) -> None:
         """Finish what is being recorded, as aborted, then end."""
-        self._fetch()
+        self.fetch()
         rollout = self.recorder.rollout
         if rollout is not None:
             now = max(self.get_clock().now().nanoseconds, rollout.begin)

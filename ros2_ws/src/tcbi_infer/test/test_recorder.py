@@ -98,14 +98,15 @@ def test_a_command_at_the_very_end_is_left_out_whenever_it_comes(folder):
     assert len(recorded) == len(feed.case.commands.time) and max(recorded) < feed.end
 
 
-def test_the_end_waits_for_every_sensor_but_not_for_ever(folder, recorder):
+@pytest.mark.parametrize("slow", [names.IMU, names.TRACKER_POSE])
+def test_the_end_waits_for_every_sensor_but_not_for_ever(folder, recorder, slow):
     feed = Feed()
     recorder.begin(folder, "walk_1", feed.begin, feed.first, feed.end)
-    feed.into(recorder, [row for row in feed.rows if row[0] != names.IMU or row[1] < feed.end])
+    feed.into(recorder, [row for row in feed.rows if row[0] != slow or row[1] < feed.end])
     recorder.end(feed.end, 100.0)
     assert not recorder.settled(100.0)
     assert recorder.settled(100.0 + SETTLE_S + 0.01)
-    feed.into(recorder, [row for row in feed.rows if row[0] == names.IMU and row[1] == feed.end])
+    feed.into(recorder, [row for row in feed.rows if row[0] == slow and row[1] == feed.end])
     assert recorder.settled(100.0)
 
 
