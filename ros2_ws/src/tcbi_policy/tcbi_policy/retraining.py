@@ -87,7 +87,7 @@ def plan(job: Job) -> Run:
     if start:
         config = dataclasses.replace(fine_tuning(config), steps=min(config.steps, FINE_TUNING_STEPS))
     changes: dict[str, Any] = {"seed": job.seed, "budget_s": job.budget_s, "threads": job.threads}
-    changes |= _randomisation(find_policy(start, store.root) if start else current, job.task, model)
+    changes |= randomisation_of(find_policy(start, store.root) if start else current, job.task, model)
     if job.budget_steps:
         changes["steps"] = job.budget_steps
     rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
@@ -96,7 +96,7 @@ def plan(job: Job) -> Run:
     return Run(config, model.version, str(store.root), start, rival)
 
 
-def _randomisation(policy: Actor, task: str, model: Model) -> dict[str, Any]:
+def randomisation_of(policy: Actor, task: str, model: Model) -> dict[str, Any]:
     """The settings for what a policy of this task was trained with, without effects that the model has by now."""
     if not isinstance(policy, Policy) or policy.card.task != task:
         return {}

@@ -31,11 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--prior", action="store_true", help="draw from the prior of the model's parameters, not from its posterior"
     )
     parser.add_argument(
-        "--effect", action="append", default=[], metavar="NAME[:PLACE]",
-        help="a further effect that half of the episodes have, such as command_latency or lost_commands; repeatable",
+        "--effect", action="append", metavar="NAME[:PLACE]",
+        help="a further effect that half of the episodes have, such as command_latency or lost_commands; repeatable "
+        "(default: those of --start)",
     )  # fmt: skip
     parser.add_argument(
-        "--noise", type=at_least(0.0), default=0.0, metavar="RAD", help="standard deviation of noise on the observation"
+        "--noise",
+        type=at_least(0.0),
+        metavar="RAD",
+        help="standard deviation of noise on the observation (default: that of --start, else 0)",
     )
     console.add_store(parser)
     console.add_json(parser)
@@ -55,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
-    planned = _plan(args, store)
+    planned = plan(args, store)
     folder = write_run(store.folder("runs") / planned.key("train"), planned)
     console.note_model(args.model, planned.model)
     console.note(f"training {args.task} on {planned.model}; interrupted, the same command goes on from {folder}")
@@ -76,21 +80,30 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _plan(args: argparse.Namespace, store: Any) -> Any:
+def plan(args: argparse.Namespace, store: Any) -> Any:
+    """The training run that is asked for; one that goes on from a policy meets what that was trained with.
+
+    Raises:
+      TcbiError: an unknown task, preset, model, effect or policy.
+    """
     from tcbi_policy.artefact import find_policy
     from tcbi_policy.configuration import preset
     from tcbi_policy.randomisation import randomised
-    from tcbi_policy.retraining import fine_tuning
+    from tcbi_policy.retraining import fine_tuning, randomisation_of
     from tcbi_policy.runs import Run
 
-    config = preset(args.preset, args.task)
+    config, model = preset(args.preset, args.task), store.load(args.model)
+    changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "prior": args.prior}
     if args.start:
-        find_policy(args.start, store.root)
         config = fine_tuning(config)
-    changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "steps": args.steps or config.steps}
-    changes |= {"prior": args.prior, "effects": tuple(args.effect), "observation_noise": args.noise}
-    config, model = dataclasses.replace(config, **changes).checked(), store.load(args.model)
-    randomised(model, config.effects)  # refuses what cannot be before a process is started
+        changes |= randomisation_of(find_policy(args.start, store.root), args.task, model)
+    changes["steps"] = args.steps or config.steps
+    given = {"effects": args.effect and tuple(args.effect), "observation_noise": args.noise}
+    changes |= {name: value for name, value in given.items() if value is not None}
+    config = dataclasses.replace(config, **changes).checked()
+    randomised(model, config.effects, config.effect_share)  # refuses what cannot be before a process is started
+    if args.start and (also := config.randomisation()):
+        console.note(f"training with {also}")
     return Run(config, model.version, str(store.root), args.start)
 
 

@@ -1,0 +1,38 @@
+"""`./tcbi train` goes on from a policy with what that was trained with, unless something else is asked for."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tcbi_bringup.commands import train
+from tcbi_policy.artefact import Policy, find_policy, save_policy
+from tcbi_sim.store import ModelStore
+
+LATE = ("command_latency",)
+
+
+@pytest.mark.parametrize(
+    ("words", "noise", "effects"),
+    [
+        ((), 0.0, ()),
+        (("--start", "robust"), 0.02, LATE),
+        (("--start", "robust", "--noise", "0"), 0.0, LATE),
+        (("--start", "robust", "--effect", "lost_commands"), 0.02, ("lost_commands",)),
+        (("--start", "balance", "--noise", "0.01"), 0.01, ()),
+    ],
+)
+def test_what_a_policy_was_trained_with_stays_unless_something_else_is_asked_for(
+    words: tuple[str, ...], noise: float, effects: tuple[str, ...], tmp_path: Path
+) -> None:
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    also: dict[str, Any] = {"observation_noise": 0.02, "effects": list(LATE)}
+    card = dataclasses.replace(shipped.card, name="robust", training={**shipped.card.training, **also})
+    save_policy(tmp_path / "policies" / "robust", shipped.mlp, card)
+    parser = argparse.ArgumentParser()
+    train.add_arguments(parser)
+    run = train.plan(parser.parse_args(["--task", "balance", *words]), ModelStore(tmp_path))
+    assert (run.config.observation_noise, run.config.effects) == (noise, effects)
