@@ -121,8 +121,7 @@ def test_one_kind_of_motion_tells_nothing():
 
 def test_a_recording_half_as_long_may_gain_half_as_much():
     gains, alike, sizes = np.array([40.0, 42.0, 38.0, 20.0]), np.full(4, 9), np.array([10, 10, 10, 5])
-    assert paired.certainty(gains, sizes) > 3 * paired.certainty(gains, alike)
-    assert paired.statistic(gains, sizes) > 1.3 * paired.statistic(gains, alike)
+    assert paired.statistic(gains, sizes) > 3 * paired.statistic(gains, alike)
     gain, se = paired.total(gains, alike)
     assert gain == gains.sum() and gain / se == pytest.approx(gains.mean() / (gains.std(ddof=1) / 2))
     assert paired.statistic(gains[:1], sizes[:1]) == 0.0 and np.isnan(paired.total(gains[:1], sizes[:1])[1])
@@ -134,19 +133,10 @@ def test_one_motion_in_which_a_foot_slipped_otherwise_does_not_decide():
     assert paired.statistic(np.array([0.0, 0, 900, 0, 0, 0, 0]), sizes) == 0.0  # nor does one alone prove anything
 
 
-def test_gains_of_every_kind_that_are_unlike_in_size_are_no_doubt_of_a_gain():
-    gains, sizes = np.array([60.0, 90, 300, 1500, 3400]), np.ones(5)
-    assert paired.certainty(gains, sizes) < 1.8 < paired.limit(5, 0.95) < 2.6 < paired.statistic(gains, sizes)
-    assert paired.statistic(np.r_[gains[:4], -3400.0], sizes) < paired.limit(5, 0.95)  # one of few that contradicts
-
-
-@pytest.mark.parametrize("kinds", [5, 6, 7, 8, 9, 12])
-@pytest.mark.parametrize("spread", [0.0, 1.2])
-def test_a_gain_of_pure_chance_passes_the_limit_as_often_as_it_says(kinds, spread):
-    rng = np.random.default_rng(3)
-    gains = rng.normal(size=(kinds, 20_000)) * 100 * np.exp(spread * rng.normal(size=(kinds, 20_000)))
-    share = (paired.statistic(gains, np.ones(kinds)) > paired.limit(kinds, 0.95)).mean()
-    assert 0.03 < share < 0.066
+def test_a_gain_of_pure_chance_passes_the_limit_as_often_as_it_says():
+    gains = np.random.default_rng(3).normal(size=(7, 20_000)) * 100
+    share = (paired.statistic(gains, np.ones(7)) > paired.limit(7, 0.95)).mean()
+    assert 0.035 < share < 0.06
 
 
 def test_a_candidate_that_predicts_better_but_less_evenly_is_named_beside_the_one_accepted():

@@ -27,7 +27,7 @@ def false_alarms(null: Null) -> FalseAlarms:
     rate = passed / count
     return FalseAlarms(
         f"False alarms: in {passed} of {count} simulated data sets of this robot with nothing missing the whole search "
-        f"passed the threshold (that of the other half of them, about {null.threshold:.1f}), "
+        f"passed the threshold (that of the other half of them, about {null.threshold:.1f} standard errors), "
         f"{_percent(rate)} (90 % interval "
         f"{_percent(low)} to {_percent(high)}). What else is required of an effect can only lower that; what these "
         "simulations do not hold may raise it.",

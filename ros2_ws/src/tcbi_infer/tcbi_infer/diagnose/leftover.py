@@ -106,7 +106,7 @@ def _variable(name: str, explained: np.ndarray, excess: float, sizes: np.ndarray
     """From (F,) squared error that a law takes away in each kind of motion, in noise floors, and in nats of it."""
     share = float(explained[0].sum()) / excess
     se = float(np.std(explained[0], ddof=1) * np.sqrt(explained.shape[1])) / excess
-    certain = paired.certainty(explained[1], sizes) > paired.limit(len(sizes), LEVEL)
+    certain = paired.statistic(explained[1], sizes) > paired.limit(len(sizes), LEVEL)
     return Variable(name, float(np.clip(share, 0.0, 1.0)), se, bool(certain and share >= LEAST_SHARE))
 
 

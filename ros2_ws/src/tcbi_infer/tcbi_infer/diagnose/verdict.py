@@ -40,7 +40,7 @@ def accept(evidence: Evidence, threshold: float, unfitted: float) -> tuple[bool,
     if not evidence.statistic > threshold:
         return (
             False,
-            f"the statistic of its held-out gain is {evidence.statistic:.1f}, the search alone reaches {threshold:.1f}",
+            f"its held-out gain is {evidence.statistic:.1f} standard errors, the search alone reaches {threshold:.1f}",
         )
     sized = [p for p in evidence.parameters if p.null is not None]
     if sized and not any(p.excludes_null for p in sized):
@@ -65,7 +65,7 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
     for other in others:
         difference = np.array(best.gains) - np.array(other.gains)
         mean, se = paired.total(difference, np.array(best.sizes or [1] * len(difference)))
-        if not mean >= paired.limit_of_total(len(difference), LEVEL) * se:
+        if not mean >= paired.limit(len(difference), LEVEL) * se:
             result.append(other)
     return result
 

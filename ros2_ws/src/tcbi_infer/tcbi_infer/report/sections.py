@@ -110,7 +110,7 @@ def _ranking(d: Diagnosis, most: int = 12) -> Section:
         "effect",
         "gain",
         "s.e.",
-        "statistic",
+        "gain / s.e.",
         "error before",
         "after",
         "size (90 % interval)",
@@ -122,7 +122,7 @@ def _ranking(d: Diagnosis, most: int = 12) -> Section:
         text=[
             "Every effect of the library was tried. A bar is how much better motions are predicted that the fit had "
             "not seen; the whisker is its standard error between kinds of motion. An effect must beat what searching "
-            f"so many effects finds by luck: a statistic of {d.threshold:.1f} here.",
+            f"so many effects finds by luck: {d.threshold:.1f} standard errors here.",
         ],
         figures=[Figure(svg, "Held-out gain of each candidate; in colour what the verdict names.", wide=True)],
         table=Table(head, rows, "All candidates in figures"),
