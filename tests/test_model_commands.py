@@ -58,6 +58,7 @@ def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
 
     found = answer(capsys, "diagnose", bags, "--effects", "command_latency,rotor_inertia", *store)
     assert (found["verdict"], found["effects"]) == ("effect", ["command_latency"])
+    assert found["added"] is None and not found["then"] and not list(tmp_path.glob("models/servo_bench*"))
     (delay,) = found["ranking"][0]["parameters"]
     assert delay["low90"] <= LATENCY <= delay["high90"]
 

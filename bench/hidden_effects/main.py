@@ -3,7 +3,7 @@
 ./tcbi bench hidden --quick                                              # one robot of each of seven kinds
 ./tcbi bench hidden -- --plan bench --hidden all --strength strong,weak --seeds 400:405 --keep all.jsonl
 ./tcbi bench hidden -- --plan bench --hidden none --seeds 300:400 --keep none.jsonl
-./tcbi bench hidden -- --judge --keep bench/hidden_effects/judged/quick.jsonl              # on robots of no development
+./tcbi bench hidden -- --judge --keep judged.jsonl                        # on robots that nothing was chosen on
 ./tcbi bench hidden -- --plan bench --hidden none --outside --pairs --seeds 400:403 --keep more.jsonl
 
 Each robot is an emulated one (its own physics; docs/emulated_robot.md), recorded and diagnosed in process and faster

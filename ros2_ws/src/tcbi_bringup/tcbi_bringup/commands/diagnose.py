@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
             if one.added and args.add:
                 console.note(f"{one.diagnosis.statement} It is in {one.added.version} now")
     if args.json:
-        console.emit(_as_json(found, paths))
+        console.emit(_as_json(found, paths, saved=args.add))
         return 0
     for one, path in zip(found, paths, strict=True):
         _print(one.diagnosis, path, added=args.add)
@@ -104,10 +104,10 @@ def _write(given: Path | None, one: "Round", earlier: "list[Round]", runs: Path)
     return report.write(given or saved.with_suffix(".html"))
 
 
-def _as_json(found: "list[Round]", paths: list[Path]) -> dict[str, Any]:
-    """The first diagnosis; those that followed, and the versions that were made."""
+def _as_json(found: "list[Round]", paths: list[Path], *, saved: bool) -> dict[str, Any]:
+    """The first diagnosis; those that followed, and the versions that were made, if any were saved."""
     first, *then = [
-        {**r.diagnosis.to_json(), "report": str(path), "added": r.added.version if r.added else None}
+        {**r.diagnosis.to_json(), "report": str(path), "added": r.added.version if saved and r.added else None}
         for r, path in zip(found, paths, strict=True)
     ]
     return {**first, "then": then}
