@@ -1,10 +1,11 @@
 """Gaps of a recording: where samples or commands are missing, and what must not be compared because of them.
 
 A simulation gets the commands that were recorded, the last one being held. A robot on feet gets them in a steady flow,
-and goes limp where it ends. Where several are missing it was told something else, or nothing; either way the error says
-nothing about the model from the moment the first was due, and to the end, since what the robot did in between stays in
-its feet, its place and its posture. One missing command counts as never sent, and is said; one that came late acts when
-it came. A test bench may be told only what changes, so that nothing is missing from its commands.
+and goes limp after two periods without. Where several are missing, or one came so late, it was told something else, or
+nothing; either way the error says nothing about the model from the moment the first was due, and to the end, since what
+the robot did in between stays in its feet, its place and its posture. One missing command counts as never sent, and is
+said; one that came a little late acts when it came. A test bench may be told only what changes, so that nothing is
+missing from its commands.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from tcbi_sim.measurement import Commands, Measurement
 
 GAP_S = 0.1  # the least that counts as a gap
 GAP_PERIODS = 5  # a gap in samples is also longer than so many sample periods
-COMMAND_PERIODS = 2.5  # a gap in commands: two are missing; after as long a silence a robot goes limp
+COMMAND_PERIODS = 2.2  # a gap in commands: after two periods of silence a robot goes limp; the rest is jitter
 MISSING_ONE = 1.5  # command periods
 LATE = 0.75  # command periods: as short a step after a long one, and the command was late
 REGULAR = 1.3  # steps of a steady stream of commands, in periods; only such a stream can lack one

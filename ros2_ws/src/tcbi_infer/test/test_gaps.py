@@ -109,11 +109,14 @@ def test_a_bag_without_commands_is_named_as_such(rollout):
         Replay.of(base_model("hexapod"), [mute])
 
 
-def test_a_command_that_came_late_is_neither_missing_nor_a_gap(rollout):
+@pytest.mark.parametrize(("late_s", "limp"), [(0.13, False), (0.19, False), (0.26, True)])
+def test_a_late_command_acts_when_it_came_and_spoils_the_rest_only_if_the_robot_went_limp(rollout, late_s, limp):
     time = rollout.commands.time.copy()
-    time[10] += 0.13
-    late = unusable(dataclasses.replace(rollout, commands=dataclasses.replace(rollout.commands, time=time)), GRID)
-    assert not late.averages.any() and not late.sentences
+    time[10:] = np.maximum(time[10:], time[10] + late_s)  # what was due meanwhile came with it
+    time, last = np.unique(time[::-1], return_index=True)
+    target = rollout.commands.target[::-1][last]
+    late = unusable(dataclasses.replace(rollout, commands=Commands(time, target)), GRID)
+    assert late.averages.any() == limp and bool(late.sentences) == limp
 
 
 def recorded(delays_ms, offset_ms=0):
