@@ -9,6 +9,7 @@ values, and never stops the others.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -30,6 +31,9 @@ from tcbi_sim.structure import compile_structure, silence_mujoco
 from tcbi_sim.terrain import write_terrain
 
 CLEARANCE = 0.004  # m above the ground before settling
+SETTLE_STRETCH = 2.5  # times the time step while settling: a posture at rest hardly depends on it
+SETTLE_STEP_S = 0.005  # but no longer than this
+SETTLE_LAST_S = 0.1  # at the time step itself: contacts are softer over a longer one
 MEMORY_S = 0.3  # s of samples kept for late sensors
 
 silence_mujoco()
@@ -74,6 +78,7 @@ class Simulator:
             setattr(self._mj.opt, name, value)
         self.count, joints = len(self.scenarios), len(self.rig.joint_names)
         self._batch = Batch(self._mj, self.count, threads)
+        self._step = self._batch.expand("opt.timestep")
         self.fields = Fields(
             self._mj,
             ModelFields(self._batch),
@@ -289,9 +294,13 @@ class Simulator:
 
     def _settle(self, ids: np.ndarray) -> None:
         longest = max(self.scenarios[i].settle for i in ids)
-        steps = round(longest / self.timestep)
-        if self.rig.floating and steps:
-            self._run(lambda: self._batch.step(ids, steps))
+        if not self.rig.floating or not longest:
+            return
+        long = max(self.timestep, min(SETTLE_STRETCH * self.timestep, SETTLE_STEP_S))
+        last = min(longest, SETTLE_LAST_S)
+        for step, duration in ((long, longest - last), (self.timestep, last)):
+            self._step[ids] = step
+            self._run(functools.partial(self._batch.step, ids, round(duration / step)))
 
     def _run(self, call: Callable[[], None]) -> None:
         try:
