@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -169,6 +170,18 @@ def test_a_missing_node_is_named(start_graph, peer, tmp_path):
     assert result.message == "nobody offers reset_episode after 0.5 s; start sim_node or driver_node"
     status, result = Collection(peer, task="dance", number=0, slope_roll=[1.0]).result()
     assert "task: got 'dance'" in result.message and "number: got 0" in result.message
+
+
+def test_a_sensor_whose_profile_does_not_fit_is_said(start_graph, peer, tmp_path):
+    graph = start_graph(recorder(tmp_path))
+    careless = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publisher = peer.node.create_publisher(Imu, names.IMU, careless)
+
+    def said() -> bool:
+        publisher.publish(Imu())
+        return "incompatible QoS" in graph.tail("recorder_node")
+
+    peer.wait_until(said, "the warning of the recorder")
 
 
 def test_no_room_on_the_disk_aborts_with_one_line_and_shows_in_diagnostics(start_graph, peer, tmp_path):

@@ -17,11 +17,13 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import rclpy
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.exceptions import InvalidParameterException, InvalidParameterValueException
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.guard_condition import GuardCondition
@@ -32,6 +34,8 @@ from tcbi_contract.errors import TcbiError
 
 CRASHED = os.EX_SOFTWARE  # 70
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+EVENTS_S = 0.5  # between two looks at the events of a node's topics
+LOOK_S = 0.005
 ENDING_S = 10.0  # what still runs so long after a signal tells on stderr where it hangs, and ends with status 1
 
 
@@ -53,6 +57,7 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
     def spin() -> None:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
         nodes.append(make())
+        heed_events_seldom(nodes[0])
         executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(num_threads=threads)
         executor.add_node(nodes[0])
         told.interrupts(nodes[0])
@@ -84,6 +89,41 @@ def guarded(name: str, part: Callable[[], None]) -> int:
         traceback.print_exc()
         return CRASHED
     return 0
+
+
+class Seldom(CallbackGroup):
+    """Lets what is in it be executed for a moment, twice a second."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._until = 0.0
+
+    def can_execute(self, entity: Any) -> bool:
+        """Whether this is such a moment."""
+        now = time.monotonic()
+        if now - self._until > EVENTS_S:
+            self._until = now + LOOK_S
+        return now < self._until
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """It has been waited for, so that it may be told."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing to do."""
+
+
+def heed_events_seldom(node: Node) -> None:
+    """Look now and then at the events of a node's topics (a profile that does not fit), not at each of its wakings.
+
+    Every publisher and subscription has two, and rclpy builds its wait set anew for every message: they are a fifth of
+    what a node that is woken a hundred times a second costs.
+    """
+    seldom = Seldom()
+    topics: list[Any] = [*node.publishers, *node.subscriptions]
+    for topic in topics:
+        for handler in topic.event_handlers:
+            handler.callback_group = seldom
 
 
 class Told:

@@ -9,23 +9,28 @@ generations     means, variances, ESS, alpha and divergences over generations
 import json
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from tcbi_infer.tcbi.result import Result
 from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
+if TYPE_CHECKING:
+    import xarray as xr  # seconds, which nodes that save nothing yet do not wait for
+
 DRAWS = 1000
 
 
-def dataset(result: Result) -> xr.DataTree:
+def dataset(result: Result) -> "xr.DataTree":
     """The groups of a result."""
+    import xarray as xr
+
     parameters = result.model.parameters
     rng = np.random.default_rng(0)
 
-    def draws(values: np.ndarray) -> xr.Dataset:
+    def draws(values: np.ndarray) -> "xr.Dataset":
         return xr.Dataset(
             {p.name: (("chain", "draw"), values[None, :, i], {"units": p.unit}) for i, p in enumerate(parameters)},
             coords={"chain": [0], "draw": np.arange(len(values))},
@@ -60,7 +65,9 @@ def dataset(result: Result) -> xr.DataTree:
     return tree
 
 
-def _generations(result: Result) -> xr.Dataset:
+def _generations(result: Result) -> "xr.Dataset":
+    import xarray as xr
+
     rows = result.generations
     names, statistics = list(result.model.names), list(result.statistics)
     return xr.Dataset(

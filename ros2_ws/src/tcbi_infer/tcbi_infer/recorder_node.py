@@ -18,7 +18,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
-from rclpy.subscription import Subscription
 from std_msgs.msg import Float64, String
 
 from tcbi_contract import messages, names
@@ -35,28 +34,19 @@ from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import RolloutEvent
 
 FETCH_PERIOD_S = 0.03
-EVENT_TICKS = 33  # of this period, between two looks at events
 QUEUE = 2000  # messages of one topic that may wait: ten seconds at 200 Hz
 
 
 class Fetched(CallbackGroup):
-    """Of subscriptions whose messages the node fetches: the executor leaves these alone.
-
-    Their events (messages lost, a profile that does not fit) it hears of only now and then: whoever waits for events of
-    a subscription is woken by each of its messages, too.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.with_events = False
+    """Of subscriptions whose messages the node fetches: the executor leaves these alone."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Events, while they are wanted."""
-        return self.with_events and not isinstance(entity, Subscription)
+        """Never."""
+        return False
 
     def beginning_execution(self, entity: Any) -> bool:
-        """An event has been waited for, so that it may be told."""
-        return True
+        """Never."""
+        return False
 
     def ending_execution(self, entity: Any) -> None:
         """Nothing to do."""
@@ -104,7 +94,6 @@ class RecorderNode(Node):
         self.distance: float | None = None  # the operator's entry
         self.policy_id = ""  # of the policy that is loaded, as far as it is known
         self._foreign_end: bytes | None = None
-        self._ticks = 0
         self._newest: dict[str, bytes] = {}  # by topic
         self._listen()
         self.events = self.create_publisher(RolloutEvent, names.ROLLOUT_EVENT, messages.LATCHED_QOS)
@@ -131,10 +120,10 @@ class RecorderNode(Node):
         self._streams: dict[str, Any] = {}  # by full name
         lost = SubscriptionEventCallbacks(message_lost=self._on_lost)
         qos = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=QUEUE, reliability=ReliabilityPolicy.RELIABLE)
-        self._fetched = Fetched()
+        fetched = Fetched()
         for name, message_type in STREAMS.items():
             self._streams[self.resolve_topic_name(name)] = self.create_subscription(
-                message_type, name, Fetched.never, qos, callback_group=self._fetched, raw=True, event_callbacks=lost
+                message_type, name, Fetched.never, qos, callback_group=fetched, raw=True, event_callbacks=lost
             )
         self.create_subscription(RolloutEvent, names.ROLLOUT_EVENT, self._on_event, messages.LATCHED_QOS, raw=True)
         self.create_subscription(Float64, names.DISTANCE, self._on_distance, 10)
@@ -243,8 +232,6 @@ class RecorderNode(Node):
 
     def _on_tick(self) -> None:
         self.fetch()
-        self._ticks += 1
-        self._fetched.with_events = self._ticks % EVENT_TICKS == 0
         self._calm = self._calm and not self.collector.stop_policy()
         if self._foreign_end is not None and self.recorder.settled(time.monotonic()):
             self._finish_foreign(self._foreign_end)

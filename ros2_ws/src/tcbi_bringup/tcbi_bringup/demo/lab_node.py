@@ -1,13 +1,13 @@
 """The demo's hands on the running graph: its actions and services, called one after the other.
 
 with laboratory(domain_id) as lab:
-    bags = lab.collect("balance", "gait:steps", number=2, seed=1)
+    bag = lab.record("balance", "gait:steps", 1, folder)
 """
 
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,42 +49,38 @@ class LabNode(Node):
             ready = what.server_is_ready if isinstance(what, ActionClient) else what.service_is_ready
             _until(ready, APPEAR_S, f"{name} did not appear within {APPEAR_S:.0f} s", alive)
 
-    def collect(
+    def record(
         self,
         task: str,
         policy: str,
-        number: int,
         seed: int,
         folder: Path,
         *,
         duration_s: float = 0.0,
-        slopes: Sequence[tuple[float, float]] = (),
-        feedback: Feedback | None = None,
-    ) -> list[Path]:
-        """Record rollouts and return their bags.
+        slope: tuple[float, float] | None = None,
+    ) -> Path:
+        """Record a rollout and return its bag.
 
         Args:
           task: as registered.
           policy: a file, a name, or gait:<name>.
-          number: of rollouts.
-          seed: of the scenarios.
-          folder: where the bags go.
-          duration_s: of each; 0 for the task's own.
-          slopes: (roll, pitch) in rad, one a rollout; drawn if empty.
-          feedback: called with the action's feedback.
+          seed: of the scenario.
+          folder: where the bag goes.
+          duration_s: of the rollout; 0 for the task's own.
+          slope: roll and pitch of the ground, rad; drawn if None.
 
         Raises:
           DemoError: the recording failed, with the reason that the recorder gives.
         """
         goal = CollectRollouts.Goal(
-            task=task, policy=policy, number=number, seed=seed, duration_s=duration_s, folder=str(folder)
+            task=task, policy=policy, number=1, seed=seed, duration_s=duration_s, folder=str(folder)
         )
-        goal.slope_roll = [float(roll) for roll, _ in slopes]
-        goal.slope_pitch = [float(pitch) for _, pitch in slopes]
-        result = self._do(self._collect, goal, feedback)
+        if slope is not None:
+            goal.slope_roll, goal.slope_pitch = [float(slope[0])], [float(slope[1])]
+        result = self._do(self._collect, goal, None)
         if not result.success:
             raise DemoError(f"recording failed: {result.message}")
-        return [Path(bag) for bag in result.bags]
+        return Path(result.bags[0])
 
     def retrain(self, task: str, model: str, budget_s: float, seed: int, feedback: Feedback | None = None) -> Any:
         """Train on draws of a model version, starting from the policy in use; the action's result.

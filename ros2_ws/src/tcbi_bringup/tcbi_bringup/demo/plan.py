@@ -74,8 +74,8 @@ FULL = Plan(
     training_s=60.0,
 )
 QUICK = Plan(
-    motions=("steps", "sinus", "tripod", "squat", "dither"),  # the fewest kinds that a false-alarm rate can rest on
-    repeated=2,
+    motions=("steps", "tripod", "sinus", "squat", "dither"),  # the fewest kinds that a false-alarm rate can rest on
+    repeated=2,  # feet that move do not do twice the same, so one that walks is among them
     unseen=("steps:7",),
     motion_s=2.2,
     deployments=2,

@@ -221,44 +221,39 @@ class Story:
         pool.shutdown(wait=False)
         return future
 
-    def _collect(self, *request: Any, **options: Any) -> list[Path]:
-        """Record; once more if a busy machine held up the robot."""
-        for _ in range(RECORDINGS - 1):
+    def _rollout(self, policy: str, seed: int, folder: Path, **options: Any) -> Measurement:
+        """Record one; again if a busy machine held up the robot or what records it."""
+        for left in reversed(range(RECORDINGS)):
             try:
-                return self.lab.collect(*request, **options)
+                bag = self.lab.record(TASK, policy, seed, folder, **options)
             except DemoError as error:
+                if not left:
+                    raise
                 self.say(f"{error}; it is recorded again")
-        return self.lab.collect(*request, **options)
+                continue
+            (measurement,) = read_measurements([bag])
+            spoilt = unusable(measurement, measurement.time).sentences
+            if not (spoilt and left):
+                break
+            self.say(f"{spoilt[0]}; it is recorded again")
+        return measurement
 
     def _motions(self, wanted: list[Recording], name: str, seed: int, advance: Advance = _silent) -> list[Measurement]:
-        """Record; the ground is tilted another way under each motion."""
+        """Gaits; the ground is tilted another way under each motion."""
         folder, recorded = self.folder / "rollouts" / name, []
         for i, gait, _ in wanted:
-            request = (TASK, f"gait:{gait}", 1, seed + i, folder)
-            for left in reversed(range(RECORDINGS)):
-                bags = self._collect(*request, duration_s=self.plan.motion_s, slopes=[slope_of(i)])
-                (measurement,) = read_measurements(bags)
-                spoilt = unusable(measurement, measurement.time).sentences
-                if not (spoilt and left):
-                    break
-                self.say(f"{spoilt[0]}; it is recorded again")
-            recorded.append(measurement)
+            options = {"duration_s": self.plan.motion_s, "slope": slope_of(i)}
+            recorded.append(self._rollout(f"gait:{gait}", seed + i, folder, **options))
             advance(1)
         return recorded
 
     def _deploy(self, policy: str, name: str, advance: Advance = _silent) -> list[Measurement]:
         """The task with a policy; the same seeds, hence the same slopes, before and after."""
-        plan, folder = self.plan, self.folder / "rollouts" / name
-        bags = self._collect(
-            TASK,
-            policy,
-            plan.deployments,
-            1000 + self.robot.seed,
-            folder,
-            duration_s=plan.deployment_s,
-            feedback=lambda f: advance(done=f.done),
-        )
-        return read_measurements(bags)
+        folder, recorded = self.folder / "rollouts" / name, []
+        for seed in (1000 * (self.robot.seed + 1) + i for i in range(self.plan.deployments)):
+            recorded.append(self._rollout(policy, seed, folder, duration_s=self.plan.deployment_s))
+            advance(1)
+        return recorded
 
     def _diagnose(self, model: Model) -> Diagnosis:
         with console.progress("diagnosing", total=1.0) as advance:
