@@ -32,13 +32,18 @@ def evidence(use: str, gains=GAINS, after: float = 1.5, before: float = 6.0, cou
     return dataclasses.replace(found, **changes)
 
 
-def ruled(*found: Evidence, base_error: float = 6.0, kinds: int = 6, unfitted: float = 28.0):
+def everywhere(error: float, kinds: int = 6) -> dict[str, float]:
+    """As much in each kind of motion."""
+    return {f"motion-{i}": error for i in range(kinds)}
+
+
+def ruled(*found: Evidence, base_error: float = 6.0, kinds: int = 6, unfitted: float = 28.0, by_kind=None):
     """The ruling on candidates after they have been tried against a threshold of 3 standard errors."""
     judged = []
     for e in found:
         accepted, reason = accept(e, 3.0, unfitted)
         judged.append(dataclasses.replace(e, accepted=accepted, reason=reason))
-    return rule(ranked(judged), base_error, kinds, unfitted)
+    return rule(ranked(judged), base_error, by_kind or everywhere(base_error, kinds), unfitted)
 
 
 def test_the_only_candidate_that_passes_is_named():
@@ -94,6 +99,16 @@ def test_a_richer_law_that_predicts_every_motion_better_is_named_alone():
     plain = evidence("coulomb_friction", alike=("stribeck_friction",))
     richer = evidence("stribeck_friction", [g + 20 for g in GAINS], count=3, alike=("coulomb_friction",))
     assert ruled(plain, richer).uses == ("stribeck_friction",)
+
+
+def test_a_large_error_in_one_kind_of_motion_is_told_of_that_motion():
+    slipped = everywhere(2.0) | {"motion-4": 9.0}
+    ruling = ruled(evidence("backlash", statistic=1.0, after=3.9, before=4.0), base_error=4.0, by_kind=slipped)
+    assert ruling.verdict == NOTHING_MISSING and "most in motion-4, by 9.0" in ruling.statement
+    half = {name: 2.0 + 3.0 * (i > 0) for i, name in enumerate(everywhere(0.0))}
+    assert ruled(evidence("backlash", statistic=1.0, after=3.9, before=4.0), base_error=4.0, by_kind=half).verdict == (
+        OUTSIDE_LIBRARY
+    )
 
 
 def test_a_large_error_that_no_candidate_explains_lies_outside_the_library():
@@ -155,11 +170,11 @@ def test_sealed_motions_that_contradict_the_others_leave_the_verdict_open():
 
 def test_a_base_fit_that_did_not_converge_names_no_effect():
     (best,) = ranked([dataclasses.replace(evidence("backlash"), accepted=True)])
-    ruling = rule([best], 6.0, 6, 28.0, base_converged=False)
+    ruling = rule([best], 6.0, everywhere(6.0), 28.0, base_converged=False)
     assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("backlash",))
     assert "did not converge, and backlash may only make up for that" in ruling.statement
-    assert rule([], 6.0, 6, 28.0, base_converged=False).verdict == CANNOT_TELL
-    assert rule([], 1.2, 6, 28.0, base_converged=False).verdict == NOTHING_MISSING
+    assert rule([], 6.0, everywhere(6.0), 28.0, base_converged=False).verdict == CANNOT_TELL
+    assert rule([], 1.2, everywhere(1.2), 28.0, base_converged=False).verdict == NOTHING_MISSING
 
 
 @pytest.mark.parametrize(

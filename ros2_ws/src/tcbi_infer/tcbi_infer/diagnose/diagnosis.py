@@ -227,7 +227,8 @@ class _Run:
     ) -> Diagnosis:
         """Rule, and put together everything that the verdict rests on."""
         kinds, sealed = len(self.split.folds), judge.sealed
-        ruling = rule(ranking, judge.held_out_error(before), kinds, judge.unfitted, before.fit.converged)
+        error, by_kind = judge.held_out_error(before), judge.errors_by_kind(before)
+        ruling = rule(ranking, error, by_kind, judge.unfitted, before.fit.converged)
         errors = {"unfitted": judge.unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:

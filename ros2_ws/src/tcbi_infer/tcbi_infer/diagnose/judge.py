@@ -73,6 +73,15 @@ class Judge:
         """Error over the floor of the open motions, each predicted without its own kind."""
         return self._error(self.problem.observed[self.sets] - judged.held.residual, list(self.sets))
 
+    def errors_by_kind(self, judged: Judged) -> dict[str, float]:
+        """The same of each kind of motion, by the name of its first rollout."""
+        predicted, found = self.problem.observed[self.sets] - judged.held.residual, {}
+        for fold in fold_indices(self.problem, self.sets):
+            first = self.replay.replicates[self.sets[fold[0]]].members[0]
+            name = self.replay.measurements[first].rollout_id
+            found[name] = self._error(predicted[fold], list(self.sets[fold]))
+        return found
+
     def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
         """On sealed motions, cross-validated where none are sealed; without joint scatter."""
         sealed = list(self.split.sealed)

@@ -1,7 +1,7 @@
 """From evidence to a verdict: what is required of an effect before it is named, and how the verdict is worded."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, O
 LEVEL = 0.95  # of the test that one candidate is better than another
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
 WELL_PREDICTED = 3.0  # times the noise floor: above what emulated robots with nothing hidden were seen to leave
+WIDELY = 0.25  # quantile over the kinds of motion that must err so much, before it is more than a slip in one of them
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
 MOSTLY = 1 / 2  # of the excess error: nothing is called complete that one more effect would explain so far
 CONTRADICTED = "it lowers the error of the motions held out in turn, but not that of the sealed ones"
@@ -114,19 +115,23 @@ def ranked(judged: Sequence[Evidence]) -> list[Evidence]:
 
 
 def rule(
-    ranking: Sequence[Evidence], base_error: float, kinds: int, unfitted: float, base_converged: bool = True
+    ranking: Sequence[Evidence],
+    base_error: float,
+    by_kind: Mapping[str, float],
+    unfitted: float,
+    base_converged: bool = True,
 ) -> Ruling:
     """The verdict.
 
     Args:
       ranking: candidates, best first, acceptance decided.
       base_error: held-out error over the floor of the refitted base model.
-      kinds: of motion.
+      by_kind: the same of each kind of motion, by the name of a rollout.
       unfitted: error over the floor of the model as it was.
       base_converged: whether the base model's own fit did; a bad one looks like a missing effect.
     """
     accepted = [e for e in ranking if e.accepted]
-    if kinds < 2:
+    if len(by_kind) < 2:
         return Ruling(
             CANNOT_TELL,
             (),
@@ -143,7 +148,7 @@ def rule(
             "Begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions.",
         )
     if not accepted:
-        return _none_accepted(ranking, base_error, kinds, unfitted)
+        return _none_accepted(ranking, base_error, by_kind, unfitted)
     best = accepted[0]
     left, explained = best.error_after, _explained(best)
     if left > WELL_PREDICTED and explained < EXPLAINED:
@@ -155,7 +160,7 @@ def rule(
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
     equal = indistinct(best, accepted[1:]) + better(best, ranking)
-    caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
+    caveat = "" if len(by_kind) >= MIN_KINDS else f" With {len(by_kind)} kinds of motion no false-alarm rate is claimed."
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])
         return Ruling(
@@ -178,7 +183,9 @@ def _explained(e: Evidence, unfitted: float = np.inf) -> float:
     return (before - e.error_after) / max(before - 1.0, 1e-6) if e.refined else 0.0
 
 
-def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int, unfitted: float) -> Ruling:
+def _none_accepted(
+    ranking: Sequence[Evidence], base_error: float, by_kind: Mapping[str, float], unfitted: float
+) -> Ruling:
     best = ranking[0] if ranking else None
     error = f"the refitted model errs by {base_error:.1f} times the noise floor"
     if _lowered(base_error, unfitted):
@@ -199,11 +206,20 @@ def _none_accepted(ranking: Sequence[Evidence], base_error: float, kinds: int, u
             f"Something may be missing: {error}. {best.use} explains {100 * _explained(best, unfitted):.0f} % of the "
             f"excess, but is not certain: {best.reason}.",
         )
-    if base_error > WELL_PREDICTED:
+    wide = float(np.quantile(list(by_kind.values()), WIDELY, method="lower")) > WELL_PREDICTED
+    if base_error > WELL_PREDICTED and wide:
         return Ruling(
             OUTSIDE_LIBRARY, (), f"{error[0].upper()}{error[1:]}, and no effect of the library explains it.{hint}"
         )
-    few = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion small effects cannot be seen."
+    if base_error > WELL_PREDICTED:
+        most = max(by_kind, key=lambda name: by_kind[name])
+        return Ruling(
+            NOTHING_MISSING,
+            (),
+            f"Most of these rollouts show nothing missing: {error}, but not in all kinds of motion; most in {most}, by "
+            f"{by_kind[most]:.1f}. See whether a foot slips there, and record it twice.{hint}",
+        )
+    few = "" if len(by_kind) >= MIN_KINDS else f" With {len(by_kind)} kinds of motion small effects cannot be seen."
     return Ruling(
         NOTHING_MISSING,
         (),
