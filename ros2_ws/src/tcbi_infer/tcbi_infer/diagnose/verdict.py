@@ -160,7 +160,8 @@ def rule(
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
     equal = indistinct(best, accepted[1:]) + better(best, ranking)
-    caveat = "" if len(by_kind) >= MIN_KINDS else f" With {len(by_kind)} kinds of motion no false-alarm rate is claimed."
+    few = len(by_kind) < MIN_KINDS
+    caveat = f" With {len(by_kind)} kinds of motion no false-alarm rate is claimed." if few else ""
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])
         return Ruling(
