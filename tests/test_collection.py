@@ -1,5 +1,9 @@
 """A collection where others place the robot, where a service is slow, and where its end is lost on the way."""
 
+import json
+import math
+import subprocess
+import sys
 import time
 
 import pytest
@@ -59,6 +63,21 @@ def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_grap
     m = read_measurement(result.bags[0])
     assert (m.distance, m.source, m.policy_id, m.scenario.slope_roll) == (0.42, "driver", "", 0.25)
     assert m.scenario.duration == 1.0 and 0.9 < m.time[-1] <= 1.0
+
+
+def test_each_distance_that_is_asked_for_goes_to_its_own_rollout(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False))
+    Robot(peer)
+    command = [sys.executable, "-m", "tcbi_bringup.cli", "collect", "--n", "3", "--policy", "none", "--duration", "0.4"]
+    with subprocess.Popen(
+        [*command, "--ask-distance", "--json"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as collect:
+        assert collect.stdin is not None and collect.stdout is not None
+        collect.stdin.write("0.42\n\nhalf\n0.1\n")
+        collect.stdin.flush()
+        peer.wait_until(lambda: collect.poll() is not None, "the end of the collection")
+        bags = json.loads(collect.stdout.read())["bags"]
+    assert [read_measurement(bag).distance for bag in bags] == [0.42, pytest.approx(math.nan, nan_ok=True), 0.1]
 
 
 class SlowRobot(Robot):

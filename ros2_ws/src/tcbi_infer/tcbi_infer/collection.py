@@ -31,6 +31,7 @@ class Request:
     duration_s: float = 0.0
     model: str = ""
     folder: str = ""
+    distance_timeout_s: float = 0.0  # 0: the recorder's own
 
 
 def check(request: Request) -> None:
@@ -44,6 +45,8 @@ def check(request: Request) -> None:
         faults.append(
             f"duration_s: got {request.duration_s}, allowed is 0 (the task's own) or 0.2 to {LONGEST_S:.0f} s"
         )
+    if not request.distance_timeout_s >= 0:
+        faults.append(f"distance_timeout_s: got {request.distance_timeout_s}, allowed is 0 or more, s")
     for name, slopes in (("slope_roll", request.slope_roll), ("slope_pitch", request.slope_pitch)):
         faults += _slope_faults(name, slopes, request.number)
     if faults:

@@ -26,6 +26,7 @@ def goal_of(request: Request) -> CollectRollouts.Goal:
         duration_s=request.duration_s,
         model=request.model,
         folder=request.folder,
+        distance_timeout_s=request.distance_timeout_s,
     )
 
 
@@ -41,6 +42,7 @@ def request_of(goal: CollectRollouts.Goal) -> Request:
         duration_s=float(goal.duration_s),
         model=goal.model,
         folder=goal.folder,
+        distance_timeout_s=float(goal.distance_timeout_s),
     )
 
 

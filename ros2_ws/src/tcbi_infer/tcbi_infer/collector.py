@@ -140,7 +140,7 @@ class Collector:
         self.node.events.publish(event)
         try:
             await self._act(goal, request, index, end)
-            return await self._end(event, end)
+            return await self._end(event, end, request.distance_timeout_s)
         except TcbiError as error:
             await self._abort(event, str(error), request)
             raise
@@ -174,14 +174,14 @@ class Collector:
             await self._set_policy(False)
         self._tell(goal, index, request.number, 0.0)
 
-    async def _end(self, event: RolloutEvent, end: int) -> Path:
+    async def _end(self, event: RolloutEvent, end: int, distance_timeout_s: float) -> Path:
         node = self.node
         node.recorder.end(end, time.monotonic())
         await Until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
         self._require_recording()
         event.kind, event.note = RolloutEvent.END, ""
         event.header.stamp = messages.to_stamp(end)
-        event.distance = await self._distance()
+        event.distance = await self._distance(distance_timeout_s or node.values.distance_timeout_s)
         bag = node.close(event, end)
         node.events.publish(event)
         if bag is None:
@@ -200,13 +200,13 @@ class Collector:
             future = self._enable.call_async(SetBool.Request(data=False))
             await Until(future.done, node.values.service_timeout_s)
 
-    async def _distance(self) -> float:
+    async def _distance(self, timeout_s: float) -> float:
         """From the tracker; else what the operator enters in time; else unknown."""
         node = self.node
         if len(node.poses) > 1:
             return distance_between(node.poses[0], node.poses[-1])
-        if node.values.distance_timeout_s > 0:
-            await Until(lambda: node.distance is not None, node.values.distance_timeout_s)
+        if timeout_s > 0:
+            await Until(lambda: node.distance is not None, timeout_s)
         return math.nan if node.distance is None else node.distance
 
     def _require_recording(self) -> None:

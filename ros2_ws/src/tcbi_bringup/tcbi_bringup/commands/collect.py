@@ -16,6 +16,7 @@ from tcbi_bringup.errors import WrongCallError
 
 SUMMARY = "Record rollouts of a task, one bag each, from the running graph or from one that is started for it."
 READY_S = 40.0  # for the nodes to be there
+DISTANCE_S = 600.0  # for the operator to measure a distance
 QUIET_S = 3.0  # of these before it is said what is waited for
 
 
@@ -87,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
         duration_s=args.duration,
         model=args.model,
         folder=str(args.out.resolve()) if args.out else "",
+        distance_timeout_s=DISTANCE_S if args.ask_distance else 0.0,
     )
     check(request)
     domain = present_domain()
