@@ -10,8 +10,9 @@ from tcbi_bringup.commands.demo import as_json
 from tcbi_bringup.demo import page
 from tcbi_bringup.demo.plan import QUICK
 from tcbi_bringup.demo.robot import Robot, running
-from tcbi_bringup.demo.story import Story
+from tcbi_bringup.demo.story import Outcome, Story
 from tcbi_bringup.emulated_robot.physics import Specimen
+from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY
 
 SHORT = dataclasses.replace(
     QUICK,
@@ -48,5 +49,28 @@ def test_the_story_is_told_to_its_end_and_leaves_a_report_and_no_process(tmp_pat
     assert len(outcome.motions) == 3 and len(outcome.unseen) == 2 and len(outcome.after) == 2
     seen = {m.rollout_id for m in (*outcome.motions, *outcome.before)}
     assert not seen & {m.rollout_id for m in outcome.unseen}
+    assert told["verdict"] in (NOTHING_MISSING, CANNOT_TELL, OUTSIDE_LIBRARY, EFFECT)
+    assert outcome.right(()) == (told["verdict"] == NOTHING_MISSING and not told["effects"])
     text = report.read_text()
+    assert f"Verdict: {outcome.diagnoses[0].headline}." in text
     assert all(version in text for version in ("hexapod-v0", "hexapod-v1", "hexapod-v2")) and len(text) > 100_000
+
+
+@pytest.mark.parametrize(
+    ("hidden", "verdict", "effects", "right"),
+    [
+        (("payload",), EFFECT, ["payload"], True),
+        (("weak_leg",), EFFECT, ["weak_leg:lf"], True),
+        (("payload",), EFFECT, ["backlash"], False),
+        (("payload",), CANNOT_TELL, [], False),
+        ((), NOTHING_MISSING, [], True),
+        ((), OUTSIDE_LIBRARY, [], False),
+        ((), CANNOT_TELL, [], False),
+    ],
+)
+def test_right_is_what_is_hidden_and_with_nothing_hidden_only_that_nothing_is_missing(
+    hidden, verdict, effects, right, monkeypatch
+):
+    monkeypatch.setattr(Outcome, "verdict", verdict)
+    monkeypatch.setattr(Outcome, "effects", effects)
+    assert Outcome(Robot(1), SHORT, None).right(hidden) == right

@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -64,6 +65,17 @@ def test_rollouts_on_request_lose_nothing_and_repeat_bit_for_bit(start_graph, pe
         a, b = contents(Path(one)), contents(Path(other))
         assert a.keys() == b.keys()
         assert [name for name in a if not np.array_equal(a[name], b[name])] == []
+
+
+def test_a_collection_gives_back_the_policy_that_was_in_use(start_graph, peer, tmp_path):
+    start_graph(*simulation(tmp_path), recorder(tmp_path / "bags"))
+    in_use = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(in_use), "the policy in use")
+    status, result = Collection(peer, task="balance", number=1, policy="gait:steps", duration_s=0.4).result()
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert read_measurement(result.bags[0]).policy_id == "gait:steps"
+    peer.wait_until(lambda: in_use[-1].data == "gait:tripod", "the policy that was in use before")
+    assert [told.data for told in in_use] == ["gait:tripod", "gait:steps", "gait:tripod"]
 
 
 def test_a_killed_recorder_loses_at_most_the_last_second(start_graph, peer, tmp_path):

@@ -97,6 +97,7 @@ def _told(found: Diagnosis) -> Result:
             for e in found.ranking if e.refined
         ],
         "statement": found.statement,
+        "misfit": None if found.misfit is None else dataclasses.asdict(found.misfit),
     }  # fmt: skip
 
 

@@ -190,13 +190,17 @@ def port_check(name: str) -> Check:
     return Check(label, OK, "there, permitted and free")
 
 
-def robot_checks(port: str, sensor_port: str = "", calibration_file: str = "") -> Iterator[Check]:
+def robot_checks(
+    port: str, sensor_port: str = "", calibration_file: str = "", baud_rate: int = 0, sensor_baud_rate: int = 0
+) -> Iterator[Check]:
     """The robot behind a port, or behind two: every servo, the sensor board, one sample. Nothing moves.
 
     Args:
       port: the sensor board's if it carries the servo bus, else the servo bus.
       sensor_port: the sensor board's own port, or empty.
       calibration_file: the robot's; empty for the shipped one.
+      baud_rate: of `port`, bit/s; 0 for the driver's own.
+      sensor_baud_rate: of `sensor_port`.
     """
     from hexapod_driver import calibration
     from hexapod_driver.errors import CalibrationError
@@ -213,5 +217,6 @@ def robot_checks(port: str, sensor_port: str = "", calibration_file: str = "") -
     except CalibrationError as error:
         yield Check("calibration", FAULT, str(error), "correct the file; docs/driver.md says what stands in it")
         return
-    for finding in probe(LinkSettings(port, BAUD_RATE, sensor_port, SENSOR_BAUD_RATE, robot)):
+    rates = baud_rate or BAUD_RATE, sensor_baud_rate or SENSOR_BAUD_RATE
+    for finding in probe(LinkSettings(port, rates[0], sensor_port, rates[1], robot)):
         yield dataclasses.replace(finding, name=f"robot: {finding.name}")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from tcbi_bringup.errors import LaunchError, RobotListensError, SecondGraphError
 from tcbi_bringup.graph_monitor import GraphMonitor
+from tcbi_contract.names import CLOCK
 
 OWN_NODES = ("sim_node", "driver_node", "policy_node", "recorder_node", "inference_node", "retrain_node")
 ROBOT_NODES = ("sim_node", "driver_node")  # they follow joint_commands
@@ -60,9 +61,16 @@ def hold_domain(domain_id: int, namespace: str = "") -> Iterator[None]:
 
 
 def refuse_second_graph(
-    monitor: GraphMonitor, domain_id: int, namespace: str = "", patience_s: float = DISCOVERY_S
+    monitor: GraphMonitor,
+    domain_id: int,
+    namespace: str = "",
+    patience_s: float = DISCOVERY_S,
+    own_clock: bool = False,
 ) -> None:
     """Look for the nodes of another graph, which may run on another machine, for as long as discovery takes.
+
+    Args:
+      own_clock: the new graph publishes `/clock`, of which a domain has one, whatever the namespaces.
 
     Raises:
       SecondGraphError: names the nodes found.
@@ -74,6 +82,11 @@ def refuse_second_graph(
         if found:
             raise SecondGraphError(
                 f"a graph already runs in ROS domain {domain_id}{_in(namespace)}: found {', '.join(found)}; {REMEDY}"
+            )
+        if own_clock and monitor.publishers(CLOCK):
+            raise SecondGraphError(
+                f"a simulated clock runs in ROS domain {domain_id} already; stop that one, or choose another domain "
+                "(ROS_DOMAIN_ID=1 ./tcbi up …)"
             )
         time.sleep(0.05)
 

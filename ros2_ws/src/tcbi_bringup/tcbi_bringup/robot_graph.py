@@ -36,7 +36,9 @@ class GraphOptions:
       hidden: effect in the emulated robot, "" to draw it from the seed.
       strength: of that effect.
       learning: start the inference and the retrain node too.
-      recordings: the recorder's folder; None for that of the store.
+      recordings: where rollouts are recorded and looked for; None for a folder of the store.
+      baud_rate: of a real robot's port, bit/s; 0 for the driver's own.
+      sensor_baud_rate: of its second port.
     """
 
     store: Path
@@ -53,6 +55,13 @@ class GraphOptions:
     strength: str = STRENGTHS[0]
     learning: bool = True
     recordings: Path | None = None
+    baud_rate: int = 0
+    sensor_baud_rate: int = 0
+
+    @property
+    def bags(self) -> Path:
+        """Where rollouts are recorded and looked for; each namespace has a recorder, hence a folder of its own."""
+        return self.recordings or self.store / "rollouts" / self.namespace
 
     def check(self) -> None:
         """Refuse what does not go together, and a task or a policy that no node could load.
@@ -72,7 +81,12 @@ class GraphOptions:
                 f"--hidden: got --robot {self.robot}, allowed is emulated; only there is known what is hidden"
             )
         if self.robot in (SIM, EMULATED):
-            for option, value in (("--sensor-port", self.sensor_port), ("--calibration", self.calibration)):
+            for option, value in (
+                ("--sensor-port", self.sensor_port),
+                ("--calibration", self.calibration),
+                ("--baud-rate", self.baud_rate),
+                ("--sensor-baud-rate", self.sensor_baud_rate),
+            ):
                 if value:
                     raise LaunchError(
                         f"{option}: got --robot {self.robot}, allowed is a serial port; only a real robot has one"
@@ -117,7 +131,9 @@ def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
     if options.robot != EMULATED:
         calibration = str(Path(options.calibration).expanduser().resolve()) if options.calibration else ""
         link = {"port": options.robot, "sensor_port": options.sensor_port, "calibration": calibration}
-        return [node("hexapod_driver", "driver_node", parameters=link)]
+        rates = {"baud_rate": options.baud_rate, "sensor_baud_rate": options.sensor_baud_rate}
+        given = {name: rate for name, rate in rates.items() if rate}
+        return [node("hexapod_driver", "driver_node", parameters={**link, **given})]
     port, socket = emulated_port(folder), folder / "socket"
     place = ("--link", str(port), "--socket", str(socket))
     hidden = ("--hidden", options.hidden) if options.hidden else ()
@@ -150,10 +166,11 @@ def companion_processes(options: GraphOptions) -> list[NodeProcess]:
     nodes = [
         node("tcbi_sim", "description_node", {}),
         node("tcbi_policy", "policy_node", {**store, **({"policy": options.policy} if options.policy else {})}),
-        node("tcbi_infer", "recorder_node", {"folder": str(options.recordings or options.store / "rollouts")}),
+        node("tcbi_infer", "recorder_node", {"folder": str(options.bags)}),
     ]
     if options.learning:
-        nodes += [node("tcbi_infer", "inference_node", store), node("tcbi_policy", "retrain_node", store)]
+        watched = {**store, "bags": str(options.bags), "model": options.model}
+        nodes += [node("tcbi_infer", "inference_node", watched), node("tcbi_policy", "retrain_node", store)]
     return nodes
 
 

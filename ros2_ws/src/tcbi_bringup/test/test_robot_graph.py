@@ -65,8 +65,9 @@ def test_a_real_robots_driver_gets_its_second_port_and_its_calibration(tmp_path)
     mine.write_text(shipped.read_text())
     wanted = options(robot=str(tmp_path / "bus"), sensor_port=str(tmp_path / "board"), calibration=str(mine))
     wanted.check()
-    (driver,) = robot_processes(wanted, Path("run"))
+    (driver,) = robot_processes(dataclasses.replace(wanted, baud_rate=115_200), Path("run"))
     assert driver.parameters["sensor_port"] == str(tmp_path / "board")
+    assert driver.parameters["baud_rate"] == 115_200 and "sensor_baud_rate" not in driver.parameters
     assert driver.parameters["calibration"] == str(mine)
 
 
@@ -83,6 +84,8 @@ def test_a_calibration_that_cannot_be_read_is_refused_before_anything_starts(tmp
 def test_only_a_real_robot_has_a_calibration_and_a_second_port(robot):
     with pytest.raises(LaunchError, match=f"--calibration: got --robot {robot}"):
         options(robot=robot, calibration="mine.toml").check()
+    with pytest.raises(LaunchError, match=f"--sensor-baud-rate: got --robot {robot}"):
+        options(robot=robot, sensor_baud_rate=9600).check()
     with pytest.raises(LaunchError, match=f"--sensor-port: got --robot {robot}"):
         options(robot=robot, sensor_port="/dev/ttyUSB1").check()
 
@@ -115,6 +118,13 @@ def test_a_recorder_that_is_told_where_to_record_leaves_the_store_s_folder_to_ot
 
     assert folder(recordings=tmp_path) == str(tmp_path)
     assert folder() == str(Path("store") / "rollouts")
+    assert folder(namespace="left") == str(Path("store") / "rollouts" / "left"), "each recorder has its own"
+
+
+def test_the_inference_node_looks_where_the_recorder_records_and_at_the_model_that_was_named(tmp_path):
+    nodes = {p.executable: p for p in companion_processes(options(recordings=tmp_path, model="hexapod-v3"))}
+    assert nodes["inference_node"].parameters["bags"] == nodes["recorder_node"].parameters["folder"] == str(tmp_path)
+    assert nodes["inference_node"].parameters["model"] == "hexapod-v3"
 
 
 @pytest.mark.parametrize("robot", ["sim", "emulated"])

@@ -107,6 +107,7 @@ class Collector:
         request = request_of(goal.request)
         check(request)
         folder = self._folder(request)
+        before = self.node.policy_id
         try:
             policy_id = await self._policy(request)
             for index in range(request.number):
@@ -115,6 +116,8 @@ class Collector:
         finally:
             if folder is not self.node.folder:
                 folder.close()
+            if request.policy and request.policy != NO_POLICY and before:
+                await self._give_back(before)
 
     def _folder(self, request: Request) -> RecordingFolder:
         own = self.node.folder
@@ -302,6 +305,12 @@ class Collector:
             self._load, LoadPolicy.Request(policy=request.policy), names.LOAD_POLICY, "policy_node"
         )
         return str(loaded.policy_id)
+
+    async def _give_back(self, policy_id: str) -> None:
+        """Load what was in use before, so that a training still starts from it; not being able to is no fault."""
+        if self._load.service_is_ready():
+            future = self._load.call_async(LoadPolicy.Request(policy=policy_id))
+            await Until(future.done, self.node.values.service_timeout_s)
 
     async def _set_policy(self, on: bool) -> None:
         await self._call(self._enable, SetBool.Request(data=on), names.ENABLE_POLICY, "policy_node")

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
+from tcbi_sim.errors import UnknownNameError
 
 BINS = 20
 LOG2 = float(np.log(2.0))  # the largest Jensen-Shannon divergence, in nats
@@ -178,8 +179,8 @@ def divergence(name: str) -> Divergence:
     """The divergence of that name.
 
     Raises:
-      InferError: there is none.
+      UnknownNameError: there is none.
     """
     if name not in library():
-        raise InferError(f"unknown divergence {name!r}; known are {', '.join(library())}")
+        raise UnknownNameError("divergence", name, tuple(library()))
     return library()[name]

@@ -1,6 +1,6 @@
 """Errors of this package that a user can cause and mend."""
 
-from tcbi_contract.errors import TcbiError
+from tcbi_contract.errors import TcbiError, UsageError
 
 
 class InferError(TcbiError):
@@ -17,6 +17,10 @@ class RecordingError(InferError):
 
 class MappingError(InferError):
     """A mapping file does not describe its logs."""
+
+
+class SettingError(InferError, UsageError):
+    """A setting that a method cannot have, or not with this value."""
 
 
 class MissingExtraError(InferError):

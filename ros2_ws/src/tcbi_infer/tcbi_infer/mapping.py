@@ -9,6 +9,7 @@ from typing import Any
 
 from tcbi_infer.errors import MappingError
 from tcbi_infer.readings import QUANTITIES, is_reading
+from tcbi_sim.errors import UnknownNameError
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {"rad": 1.0, "deg": math.pi / 180, "turn": 2 * math.pi, "N m": 1.0}
@@ -70,7 +71,8 @@ def load_mapping(name: str | Path) -> Mapping:
     """A mapping file, or a built-in mapping by name.
 
     Raises:
-      MappingError: there is none, or everything that is wrong in it, at once.
+      UnknownNameError: there is none.
+      MappingError: everything that is wrong in it, at once.
     """
     path = Path(name)
     known = built_in()
@@ -82,7 +84,7 @@ def load_mapping(name: str | Path) -> Mapping:
     elif str(name) in known:
         text = known[str(name)]
     else:
-        raise MappingError(f"{name}: there is no such mapping file; built in are {', '.join(known)}")
+        raise UnknownNameError("mapping file, or built-in mapping", str(name), tuple(known))
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as e:

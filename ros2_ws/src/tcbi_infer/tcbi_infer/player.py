@@ -3,14 +3,17 @@
 The moment is the message's stamp, so that a recording from a simulator in lockstep plays as evenly as one from a robot.
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from tcbi_contract import names
 from tcbi_infer.bags.files import mcap_files
 from tcbi_infer.bags.scan import Scan
 from tcbi_infer.bags.schemas import MESSAGES, stamp_of
-from tcbi_infer.bags.streams import prefix, relative
+from tcbi_infer.bags.streams import JUMP_S, longest_stretch, prefix, relative
 from tcbi_infer.errors import BagError
 
 
@@ -81,5 +84,27 @@ def schedule(bag: Path, topics: tuple[str, ...] = ()) -> Schedule:
         )
     if len(spaces) > 1:
         raise BagError(f"{bag}: holds the joint_states of {len(spaces)} robots; play it with `ros2 bag play`")
-    cues.sort(key=lambda cue: cue.time)
+    cues = sorted(_on_one_clock(cues, notes), key=lambda cue: cue.time)
     return Schedule(tuple(cues), tuple(sorted(others)), tuple(notes))
+
+
+def _on_one_clock(cues: list[Cue], notes: list[str]) -> list[Cue]:
+    """The longest stretch of a recording, in the order of its file, in which no clock was set back.
+
+    The topic with the most messages says where that is. Another message goes with the nearer in time of the two of
+    that topic which it stands between; one that is far from the whole stretch overtook others as the clock was set.
+    """
+    topic = Counter(cue.topic for cue in cues).most_common(1)[0][0]
+    places = np.flatnonzero([cue.topic == topic for cue in cues])
+    stamp = np.array([cue.time for cue in cues], np.int64)
+    beat = stamp[places]
+    kept = longest_stretch(topic, beat, notes)
+    if len(kept) == len(beat):
+        return cues
+    following = np.searchsorted(places, np.arange(len(cues)))
+    before, after = np.maximum(following - 1, 0), np.minimum(following, len(beat) - 1)
+    nearest = np.where(np.abs(stamp - beat[before]) < np.abs(stamp - beat[after]), before, after)
+    margin = round(JUMP_S * 1e9)
+    near = (stamp >= beat[kept].min() - margin) & (stamp <= beat[kept].max() + margin)
+    inside = near & (nearest >= kept[0]) & (nearest <= kept[-1])
+    return [cue for cue, is_inside in zip(cues, inside, strict=True) if is_inside]

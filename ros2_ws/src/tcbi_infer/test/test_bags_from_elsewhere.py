@@ -177,7 +177,7 @@ def test_without_stamps_the_recording_time_is_used(tmp_path):
 
 def test_another_robot_is_refused_by_its_joints(tmp_path):
     bag = written(tmp_path, joint_rows([0.0, 0.1, 0.2], ("shoulder", "elbow")))
-    with pytest.raises(BagError, match="another robot: its joints are shoulder, elbow"):
+    with pytest.raises(BagError, match=r"another robot: its joints are shoulder, elbow.*\./tcbi import"):
         read_measurement(bag)
     assert read_measurement(bag, rig="arm").joint_names == ("shoulder", "elbow")
 
@@ -210,7 +210,7 @@ def test_an_empty_file_says_so(tmp_path):
 
 def test_a_bag_without_joint_states_says_what_it_has(tmp_path):
     bag = written(tmp_path, rows(keep=lambda row: row[0] == IMU))
-    with pytest.raises(BagError, match=r"no joint_states .* it has /imu/data"):
+    with pytest.raises(BagError, match=r"no joint_states .* it has /imu/data; record it while"):
         read_measurement(bag)
 
 
@@ -235,7 +235,7 @@ def test_two_robots_in_one_bag_need_a_choice(tmp_path):
         for robot in ("a", "b"):
             for topic, time, data in rows():
                 bag.write(f"/{robot}/{topic}", time, data)
-    with pytest.raises(BagError, match="2 robots"):
+    with pytest.raises(BagError, match=r"2 robots .* --namespace"):
         read_measurement(bag.path)
     assert len(read_bag(bag.path, namespace="/b")) == 1
     with pytest.raises(BagError, match="no joint_states under the namespace 'c'"):

@@ -11,7 +11,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import Reader
 
 from tcbi_infer.bags import schemas
-from tcbi_infer.bags.files import find_bags
+from tcbi_infer.bags.files import find_bags, left_out
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.bags.recovery import recover
@@ -123,6 +123,20 @@ def test_a_repaired_bag_is_a_bag_for_other_readers_and_the_original_is_kept(tmp_
         assert all(c.digest == schemas.type_hash(c.msgtype) for c in reader.connections)
     assert [note[:6] for note in read_measurement(bag).notes] == ["no END"]
     assert find_bags([tmp_path]) == [bag], "the damaged original must not be read with the others"
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_a_damaged_original_is_read_only_where_it_is_named_alone(tmp_path, bare):
+    bag = write_measurement(tmp_path, rollout(samples=400))
+    file = bag / "walk_1_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    repaired = recover(file.rename(tmp_path / "walk.mcap") if bare else bag)
+    original = repaired.original
+    inside = [] if bare else [original / "walk_1_0.mcap"]
+    assert find_bags([repaired.bag, original, *inside]) == [repaired.bag]
+    assert left_out([repaired.bag, original, *inside]).keys() == {original, *inside}
+    assert find_bags([original]) == [original] and left_out([original]) == {}
+    assert any("is damaged" in note for note in read_measurement(original).notes)
 
 
 def test_an_unfinished_recording_gets_its_final_name(tmp_path):

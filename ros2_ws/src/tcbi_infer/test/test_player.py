@@ -4,8 +4,10 @@ import pytest
 from bag_cases import rollout
 
 from tcbi_contract.names import IMU, JOINT_STATES, ROLLOUT_EVENT
+from tcbi_infer.bags.encoding import messages
 from tcbi_infer.bags.measurement_writer import START_NS, write_measurement
 from tcbi_infer.bags.scan import Scan
+from tcbi_infer.bags.writer import BagWriter
 from tcbi_infer.errors import BagError
 from tcbi_infer.player import schedule
 
@@ -33,3 +35,23 @@ def test_a_cut_off_bag_plays_as_far_as_it_goes_and_says_so(tmp_path):
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     plan = schedule(file)
     assert 300 < len(plan.cues) < 1200 and "is damaged" in plan.notes[0]
+
+
+@pytest.mark.parametrize("back_s", [1.0, 3600.0])
+@pytest.mark.parametrize(("before", "after"), [(150, 60), (60, 150)])
+def test_where_the_clock_was_set_back_the_longest_stretch_is_played(tmp_path, before, after, back_s):
+    first = list(messages(rollout(samples=before), 4_000 * START_NS))
+    then = list(messages(rollout(samples=after), first[-1][1] - round(back_s * 1e9)))
+    longest = first if before > after else then
+    stray = next(row for row in then if row[0] == IMU)  # overtook the last before the clock was set
+    rows = [*first[:-8], stray, *first[-8:], *(row for row in then if row is not stray)]
+    with BagWriter(tmp_path, "walk_1") as bag:
+        for topic, time, data in rows:
+            bag.write(f"/{topic}", time, data)
+    plan = schedule(bag.path)
+    played = [(cue.topic, cue.data) for cue in plan.cues]
+    expected = [(topic, data) for topic, _, data in longest]
+    assert (plan.start, plan.end) == (longest[0][1], longest[-1][1])
+    assert abs(len(played) - len(expected)) <= 1 and len(set(played) ^ set(expected)) <= 1, "but for the stray one"
+    (note,) = plan.notes
+    assert "time goes back once" in note and "only the longest stretch is used, 150 of 210 samples" in note

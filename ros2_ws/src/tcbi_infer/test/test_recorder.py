@@ -14,7 +14,7 @@ from test_bags_from_elsewhere import START
 from tcbi_contract import names
 from tcbi_infer.bags import schemas
 from tcbi_infer.bags.encoding import joint_command, messages
-from tcbi_infer.bags.files import find_bags, is_recording
+from tcbi_infer.bags.files import find_bags, is_recording, left_out
 from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.bags.recovery import recover
@@ -132,8 +132,12 @@ def test_a_rollout_that_is_being_recorded_is_no_part_of_its_folder_yet(folder, r
     feed.into(recorder)
     recorder.flush()
     assert is_recording(folder.path)
-    assert find_bags([folder.path]) == [done]
-    assert read_measurement(folder.path / "walk_1.recording").rollout_id == "walk_1"
+    unfinished = folder.path / "walk_1.recording"
+    assert find_bags([folder.path]) == find_bags([done, unfinished]) == [done]
+    assert left_out([done, unfinished]) == {unfinished: "it is being recorded right now"}
+    assert find_bags([unfinished]) == [unfinished] and read_measurement(unfinished).rollout_id == "walk_1"
+    folder.close()
+    assert find_bags([done, unfinished]) == [done, unfinished], "what a killed recorder left is a rollout"
 
 
 def test_a_full_disk_keeps_what_was_written_and_frees_the_recorder(folder, monkeypatch):

@@ -12,6 +12,7 @@ from tcbi_infer.diagnose.evidence import (
     NOTHING_MISSING,
     OUTSIDE_LIBRARY,
     Evidence,
+    Misfit,
     ParameterEstimate,
 )
 from tcbi_infer.diagnose.judge import at_bound
@@ -32,18 +33,18 @@ def evidence(use: str, gains=GAINS, after: float = 1.5, before: float = 6.0, cou
     return dataclasses.replace(found, **changes)
 
 
-def everywhere(error: float, kinds: int = 6) -> dict[str, float]:
+def everywhere(error: float, kinds: int = 6) -> Misfit:
     """As much in each kind of motion."""
-    return {f"motion-{i}": error for i in range(kinds)}
+    return Misfit(error, {f"motion-{i}": error for i in range(kinds)})
 
 
-def ruled(*found: Evidence, base_error: float = 6.0, kinds: int = 6, unfitted: float = 28.0, by_kind=None):
+def ruled(*found: Evidence, base_error: float = 6.0, kinds: int = 6, unfitted: float = 28.0):
     """The ruling on candidates after they have been tried against a threshold of 3 standard errors."""
     judged = []
     for e in found:
         accepted, reason = accept(e, 3.0, unfitted)
         judged.append(dataclasses.replace(e, accepted=accepted, reason=reason))
-    return rule(ranked(judged), base_error, by_kind or everywhere(base_error, kinds), unfitted)
+    return rule(ranked(judged), everywhere(base_error, kinds), kinds, everywhere(unfitted, kinds))
 
 
 def test_the_only_candidate_that_passes_is_named():
@@ -101,14 +102,26 @@ def test_a_richer_law_that_predicts_every_motion_better_is_named_alone():
     assert ruled(plain, richer).uses == ("stribeck_friction",)
 
 
-def test_a_large_error_in_one_kind_of_motion_is_told_of_that_motion():
-    slipped = everywhere(2.0) | {"motion-4": 9.0}
-    ruling = ruled(evidence("backlash", statistic=1.0, after=3.9, before=4.0), base_error=4.0, by_kind=slipped)
-    assert ruling.verdict == NOTHING_MISSING and "most in motion-4, by 9.0" in ruling.statement
-    half = {name: 2.0 + 3.0 * (i > 0) for i, name in enumerate(everywhere(0.0))}
-    assert ruled(evidence("backlash", statistic=1.0, after=3.9, before=4.0), base_error=4.0, by_kind=half).verdict == (
-        OUTSIDE_LIBRARY
-    )
+@pytest.mark.parametrize(
+    ("kinds", "bad", "verdict"),
+    [
+        (2, 1, NOTHING_MISSING), (2, 2, OUTSIDE_LIBRARY), (5, 1, NOTHING_MISSING), (5, 3, NOTHING_MISSING),
+        (5, 4, OUTSIDE_LIBRARY), (8, 6, NOTHING_MISSING), (8, 7, OUTSIDE_LIBRARY),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("error", [9.0, np.inf])
+def test_an_error_in_some_kinds_of_motion_is_told_of_these(kinds, bad, verdict, error):
+    errors = {f"motion-{i}": error if i < bad else 2.0 for i in range(kinds)}
+    ruling = rule([], Misfit(4.0, errors), kinds, everywhere(28.0, kinds))
+    assert ruling.verdict == verdict
+    if verdict == NOTHING_MISSING:
+        assert ruling.statement.startswith("No effect is named") and f"in {bad} of {kinds} kinds" in ruling.statement
+
+
+def test_how_many_kinds_err_is_asked_of_the_model_that_predicts_better():
+    slip = Misfit(3.2, {"a": 2.0, "b": 2.0, "c": 2.0, "d": 2.0, "e": 6.0})
+    ruling = rule([], everywhere(12.0, 5), 5, slip)
+    assert ruling.verdict == NOTHING_MISSING and "most in e, by 6.0" in ruling.statement
 
 
 def test_a_large_error_that_no_candidate_explains_lies_outside_the_library():
@@ -170,11 +183,11 @@ def test_sealed_motions_that_contradict_the_others_leave_the_verdict_open():
 
 def test_a_base_fit_that_did_not_converge_names_no_effect():
     (best,) = ranked([dataclasses.replace(evidence("backlash"), accepted=True)])
-    ruling = rule([best], 6.0, everywhere(6.0), 28.0, base_converged=False)
+    ruling = rule([best], everywhere(6.0), 6, everywhere(28.0), base_converged=False)
     assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("backlash",))
     assert "did not converge, and backlash may only make up for that" in ruling.statement
-    assert rule([], 6.0, everywhere(6.0), 28.0, base_converged=False).verdict == CANNOT_TELL
-    assert rule([], 1.2, everywhere(1.2), 28.0, base_converged=False).verdict == NOTHING_MISSING
+    assert rule([], everywhere(6.0), 6, everywhere(28.0), base_converged=False).verdict == CANNOT_TELL
+    assert rule([], everywhere(1.2), 6, everywhere(28.0), base_converged=False).verdict == NOTHING_MISSING
 
 
 @pytest.mark.parametrize(

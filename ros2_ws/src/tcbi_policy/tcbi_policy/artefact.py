@@ -8,6 +8,7 @@ find_policy("gait:stand")                    # or a file, a name in the store, o
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import os
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from tcbi_policy.errors import PolicyDamaged, PolicyNotFound
+from tcbi_policy.errors import PolicyDamaged, PolicyError, PolicyNotFound
 from tcbi_policy.gaits import GAITS, Gait
 from tcbi_policy.layout import HEXAPOD, Layout, check_fit
 from tcbi_policy.mlp import Mlp
@@ -166,6 +167,27 @@ def _check_shape(policy: Policy) -> None:
         raise PolicyDamaged(
             f"the network maps {seen[0]} values to {seen[1]}, its card says {expected[0]} to {expected[1]}"
         )
+
+
+def name_of(policy_id: str, store_root: Path) -> str:
+    """The name under which a policy is shipped or kept in the store, "" if it is not."""
+    paths, own = policy_paths(store_root), policy_id.partition("@")[0]
+    for name in sorted(paths, key=lambda name: name != own):
+        try:
+            if load_policy(paths[name]).policy_id == policy_id:
+                return name
+        except PolicyError:  # another one's fault
+            continue
+    return ""
+
+
+def keep_policy(policy: Policy, store_root: Path) -> None:
+    """Keep a policy of a file in the store, under its own name or the next free one, if it is not there yet."""
+    if name_of(policy.policy_id, store_root):
+        return
+    paths, own = policy_paths(store_root), policy.card.name
+    name = next(n for n in itertools.chain([own], (f"{own}-{k}" for k in itertools.count(1))) if n not in paths)
+    save_policy(store_root / "policies" / name, policy.mlp, policy.card)
 
 
 def find_policy(reference: str, store_root: Path | None = None, robot: Layout = HEXAPOD) -> Policy | Gait:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from tcbi_contract.errors import describe
 from tcbi_policy.errors import TrainingError
-from tcbi_sim.tasks import tasks
+from tcbi_sim.errors import UnknownNameError
+from tcbi_sim.tasks import find_task
 
 
 @dataclass(frozen=True)
@@ -123,14 +124,12 @@ def preset(name: str, task: str) -> TrainingConfig:
     """A preset for a task; a user's own task is trained as balance is, with as many episodes.
 
     Raises:
-      TrainingError: there is none of this name, or none for this task.
+      UnknownNameError: there is none of this name, or no such task.
     """
     if name not in PRESETS:
-        raise TrainingError(describe("preset", name, "one of " + ", ".join(PRESETS)))
+        raise UnknownNameError("preset", name, tuple(PRESETS))
     if task in PRESETS[name]:
         return PRESETS[name][task]
-    if task not in tasks():
-        raise TrainingError(describe(f"task for preset {name}", task, "one of " + ", ".join(tasks())))
     like = PRESETS[name]["balance"]
-    longer = tasks()[task].duration / tasks()["balance"].duration
+    longer = find_task(task).duration / find_task("balance").duration
     return dataclasses.replace(like, task=task, reward_scale=0.0, steps=round(like.steps * longer))

@@ -1,13 +1,13 @@
 """The errors of this package, each with its cause and its remedy in one line."""
 
-from tcbi_contract.errors import TcbiError
+from tcbi_contract.errors import TcbiError, UsageError
 
 
 class PolicyError(TcbiError):
     """The base of every error of policies, training and their nodes."""
 
 
-class PolicyNotFound(PolicyError):
+class PolicyNotFound(PolicyError, UsageError):
     """A policy was asked for that is neither a file, nor in the store, nor shipped, nor a gait."""
 
 

@@ -28,7 +28,7 @@ from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_msgs.msg import RolloutEvent
 from tcbi_msgs.srv import LoadPolicy
-from tcbi_policy.artefact import Actor, find_policy
+from tcbi_policy.artefact import Actor, Policy, find_policy, keep_policy
 from tcbi_policy.ticker import SensorLoss, Tick, Ticker
 from tcbi_sim.measurement import observation, roll_pitch_yaw
 from tcbi_sim.store import default_root
@@ -54,7 +54,8 @@ class PolicyNode(Node):
         super().__init__("policy_node")
         self.values = declare(self, PolicyParameters)
         self._store = Path(self.values.store).expanduser() if self.values.store else default_root()
-        self._actor: Actor = find_policy(self.values.policy, self._store)
+        self._known: dict[str, Actor] = {}  # by id: a collection gives back what it found in use
+        self._actor: Actor = self._find(self.values.policy)
         self._actor.reset(1)
         self._ticker = Ticker(bool(self.get_parameter("use_sim_time").value), self.values.sensor_timeout_s)
         self._yaw = 0.0  # rad at the first tick
@@ -205,7 +206,7 @@ class PolicyNode(Node):
 
         def read() -> None:
             try:
-                future.set_result(find_policy(reference, self._store))
+                future.set_result(self._find(reference))
             except (TcbiError, OSError) as error:
                 future.set_exception(
                     error if isinstance(error, TcbiError) else TcbiError(f"policy {reference}: {error}")
@@ -213,6 +214,19 @@ class PolicyNode(Node):
 
         threading.Thread(target=read, daemon=True).start()
         return future
+
+    def _find(self, reference: str) -> Actor:
+        """The policy behind a reference, or an id that was in use; one of a file is kept where trainings find it."""
+        if reference in self._known:
+            return self._known[reference]
+        actor = find_policy(reference, self._store)
+        self._known[actor.policy_id] = actor
+        if isinstance(actor, Policy):
+            try:
+                keep_policy(actor, self._store)
+            except OSError as error:
+                self.get_logger().warning(f"{actor.policy_id} is not kept, no training starts from it: {error}")
+        return actor
 
     def _swap(self, actor: Actor) -> None:
         actor.reset(1)

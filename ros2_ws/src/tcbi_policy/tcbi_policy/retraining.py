@@ -26,6 +26,7 @@ from tcbi_policy.artefact import (
     Policy,
     find_policy,
     load_policy,
+    name_of,
     policy_paths,
     replace_file,
     save_policy,
@@ -231,9 +232,6 @@ def reference_of(policy_id: str, root: Path) -> str:
     """
     if policy_id.startswith(GAIT_PREFIX):
         return policy_id
-    name = policy_id.partition("@")[0]
-    if find_policy(name, root).policy_id != policy_id:
-        raise PolicyNotFound(
-            f"policy {policy_id} is in use, but {name} in the store is another one; name the policy to start from"
-        )
-    return name
+    if name := name_of(policy_id, root):
+        return name
+    raise PolicyNotFound(f"policy {policy_id} is in use, but not in the store; name the policy to start from")

@@ -10,7 +10,7 @@ import pytest
 
 from tcbi_contract.errors import TcbiError
 from tcbi_policy import retraining
-from tcbi_policy.artefact import Policy, find_policy, policy_paths, save_policy
+from tcbi_policy.artefact import Policy, find_policy, keep_policy, policy_paths, save_policy
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import PolicyNotFound, TrainingError
 from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
@@ -173,5 +173,18 @@ def test_a_cancelled_job_ends_within_a_second_and_goes_on_later(tmp_path: Path) 
 
 def test_a_policy_id_stands_for_a_name_only_as_long_as_the_name_holds_it(tmp_path: Path) -> None:
     assert reference_of("gait:tripod", tmp_path) == "gait:tripod"
-    with pytest.raises(PolicyNotFound, match="is another one"):
+    with pytest.raises(PolicyNotFound, match="not in the store"):
         reference_of("balance@00000000", tmp_path)
+
+
+def test_a_policy_of_a_file_is_kept_in_the_store_once_and_found_by_its_id(tmp_path: Path) -> None:
+    shipped, store = find_policy("balance"), tmp_path / "store"
+    changed = dataclasses.replace(shipped.mlp, weights=tuple(w / 2 for w in shipped.mlp.weights))
+    policy = save_policy(tmp_path / "mine", changed, shipped.card)
+    for _ in range(2):
+        keep_policy(policy, store)
+    (store / "policies" / "broken.safetensors").write_bytes(b"rubbish")
+    assert reference_of(policy.policy_id, store) == "balance-1"
+    assert find_policy("balance-1", store).policy_id == policy.policy_id
+    keep_policy(shipped, store)
+    assert sorted(p.stem for p in (store / "policies").glob("*.json")) == ["balance-1"], "what is shipped is there"

@@ -300,7 +300,8 @@ class Simulator:
         last = min(longest, SETTLE_LAST_S)
         for step, duration in ((long, longest - last), (self.timestep, last)):
             self._step[ids] = step
-            self._run(functools.partial(self._batch.step, ids, round(duration / step)))
+            if steps := round(duration / step):
+                self._run(functools.partial(self._batch.step, ids, steps))
 
     def _run(self, call: Callable[[], None]) -> None:
         try:

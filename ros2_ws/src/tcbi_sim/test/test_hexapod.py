@@ -116,3 +116,10 @@ def test_scenarios_stay_within_table_1():
         assert max(abs(tilted.slope_roll), abs(tilted.slope_pitch)) <= math.pi / 6
         assert ahead.blocks and all(0.06 <= b.size[2] <= 0.08 for b in ahead.blocks)
         assert all(0.1 <= edge <= 0.2 for b in ahead.blocks for edge in b.size[:2])
+
+
+@pytest.mark.parametrize("settle", [0.0, 0.05, 0.1, 0.102, 0.4])
+def test_it_settles_for_as_long_as_asked_and_then_steps_as_asked(settle):
+    simulator = Simulator(base_model("hexapod"), NOMINAL, [Scenario("balance", 1.0, settle=settle)], 0.002)
+    assert simulator.materialise()[0].opt.timestep == 0.002
+    assert simulator.materialise()[1].time == pytest.approx(settle, abs=0.003)

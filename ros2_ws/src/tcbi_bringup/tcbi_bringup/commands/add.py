@@ -41,12 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Find or make the fit, save the version, report, print."""
-    from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.report import Report, add_version
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
-    measurements = read_measurements(args.bags) if args.bags else []
+    measurements = console.read_bags(args)
+    console.note_findings(measurements)
     model = console.load_model(store, args.model, measurements[0].rig if measurements else args.rig)
     child = model.with_effect(args.effect)  # a wrong name is told before a fit, not after it
     if not args.prior:

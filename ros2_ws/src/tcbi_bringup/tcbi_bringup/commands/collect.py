@@ -117,10 +117,10 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
             raise WrongCallError(
                 "--hidden: got --robot running, allowed is emulated; that robot is built for this call"
             )
-        if args.sensor_port or args.calibration:
+        if args.sensor_port or args.calibration or args.baud_rate or args.sensor_baud_rate:
             raise WrongCallError(
-                "--sensor-port and --calibration: got --robot running, allowed is a serial port; the graph that runs "
-                "has its own driver"
+                "--sensor-port, --calibration and the baud rates: got --robot running, allowed is a serial port; the "
+                "graph that runs has its own driver"
             )
         yield lambda: None
         return
@@ -140,6 +140,8 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
         seed=args.seed,
         sensor_port=args.sensor_port,
         calibration=args.calibration,
+        baud_rate=args.baud_rate,
+        sensor_baud_rate=args.sensor_baud_rate,
         hidden=args.hidden,
         strength=args.strength,
         learning=False,
@@ -152,7 +154,7 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
         Graph(domain_id=domain) as graph,
     ):
         with GraphMonitor(domain, options.namespace) as monitor:
-            refuse_second_graph(monitor, domain, options.namespace)
+            refuse_second_graph(monitor, domain, options.namespace, own_clock=options.lockstep)
         if args.robot == SIM:
             console.note_model(args.model, newest_model(options.store))
         console.note(f"starting {args.robot}; logs in {graph.log_dir}")

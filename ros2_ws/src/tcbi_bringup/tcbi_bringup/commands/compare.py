@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tcbi_bringup.arguments import above, between
 from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
@@ -25,9 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_bags(parser)
     console.add_model(parser)
     console.add_report(parser)
-    parser.add_argument("--timestep", type=float, default=0.002, help="s, of the simulation (default: 0.002)")
+    parser.add_argument("--timestep", type=above(0.0), default=0.002, help="s, of the simulation (default: 0.002)")
     parser.add_argument(
-        "--particles", type=int, default=16, help="draws of the parameters for the predictive bands (default: 16)"
+        "--particles",
+        type=between(0, 256),
+        default=16,
+        help="draws of the parameters for the predictive bands, at most 256 (default: 16)",
     )
     console.add_store(parser)
     console.add_json(parser)
@@ -35,13 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, compare, report, print."""
-    from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.compare import compare
     from tcbi_infer.compare.ladder import ladder, lineage
     from tcbi_infer.report import Report, add_comparison, file_name
     from tcbi_sim.store import ModelStore
 
-    measurements = read_measurements(args.bags)
+    measurements = console.read_bags(args)
     store = ModelStore(args.store)
     model = store.load(args.model, measurements[0].rig)
     console.note(f"replaying {len(measurements)} rollouts in {model.version}")

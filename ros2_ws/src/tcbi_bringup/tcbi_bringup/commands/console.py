@@ -28,9 +28,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tcbi_bringup.arguments import at_least
 from tcbi_bringup.progress import progress as progress
 
 if TYPE_CHECKING:
+    from tcbi_sim.measurement import Measurement
     from tcbi_sim.model import Model
     from tcbi_sim.store import ModelStore
 
@@ -52,6 +54,13 @@ def add_robot_link(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the robot's calibration (docs/driver.md); default: the shipped one",
     )
+    for option, what in (
+        ("--baud-rate", "of the robot's port"),
+        ("--sensor-baud-rate", "of the sensor board's own port"),
+    ):
+        parser.add_argument(
+            option, type=at_least(9_600), default=0, metavar="BIT/S", help=f"{what}; default: the driver's own"
+        )
 
 
 def add_hidden(parser: argparse.ArgumentParser) -> None:
@@ -87,9 +96,28 @@ def add_store(parser: argparse.ArgumentParser) -> None:
 
 
 def add_bags(parser: argparse.ArgumentParser, use: str = "", least: int = 1) -> None:
-    """`BAG …`; what for, where they are optional."""
+    """`BAG …` and `--namespace NAME`, for `read_bags`; what for, where they are optional."""
     text = f"bags, or folders of bags{use}"
     parser.add_argument("bags", nargs="+" if least else "*", type=Path, metavar="BAG", help=text)
+    parser.add_argument("--namespace", metavar="NAME", help="of the robot to read, where bags hold several robots")
+
+
+def read_bags(args: argparse.Namespace) -> "list[Measurement]":
+    """The rollouts of `add_bags`, none where no bag was given; which of the paths are left out is said."""
+    from tcbi_infer.bags.files import left_out
+    from tcbi_infer.bags.reader import read_measurements
+
+    for path, why in left_out(args.bags).items():
+        note(f"note: {path} is left out: {why}; give it alone to read it")
+    return read_measurements(args.bags, namespace=args.namespace)
+
+
+def note_findings(measurements: "Sequence[Measurement]") -> None:
+    """Say what the reader had to leave out of recordings, and what is odd in them."""
+    from tcbi_infer.compare.guards import guard
+
+    for finding in guard(measurements):
+        note(f"note: {finding}")
 
 
 def add_model(parser: argparse.ArgumentParser, use: str = "model version") -> None:

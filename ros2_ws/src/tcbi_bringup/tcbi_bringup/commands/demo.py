@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ NICENESS = 5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which robot, and how long the story may take."""
-    parser.add_argument("--seed", type=_seed, default=1, help="number of the robot (default: 1)")
+    parser.add_argument("--seed", type=at_least(0), default=1, help="number of the robot (default: 1)")
     console.add_hidden(parser)
     parser.add_argument(
         "--quick", action="store_true", help="a shorter story: fewer motions, six effects, little training"
@@ -33,13 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi demo --hidden none                # must end in: nothing is missing",
         "./tcbi demo --seed 7 --json > demo.json",
     )
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value} is not 0 or more")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -122,5 +116,6 @@ def _print(outcome: "Outcome", truth: dict[str, Any], report: Path) -> None:
     columns = ["model", "effects", "error / noise floor", "return on the robot", "final inclination / deg"]
     console.table("", columns, rows)
     sizes = [f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in truth["effect"].items()]
+    print(f"verdict: {outcome.diagnoses[0].headline} ({', '.join(outcome.effects) or 'none added'})")
     print(f"hidden in the robot: {truth['hidden']}{' (' + ', '.join(sizes) + ')' if sizes else ''}")
     print(f"report: {report}")

@@ -53,13 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, diagnose, remember, report, print; with `--add`, again with what was found."""
-    from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.diagnose.diagnosis import find_candidates
     from tcbi_infer.diagnose.rounds import MOST, rounds
     from tcbi_infer.diagnose.settings import QUICK, Settings
     from tcbi_sim.store import ModelStore
 
-    measurements = read_measurements(args.bags)
+    measurements = console.read_bags(args)
     store = ModelStore(args.store)
     model = console.load_model(store, args.model, measurements[0].rig)
     found: list[Round] = []

@@ -37,7 +37,8 @@ def run(args: argparse.Namespace) -> int:
     if args.sensor_port and not args.port:
         raise WrongCallError("--sensor-port: got it without --port; give the servo bus's port with --port")
     checks = [*environment_checks(console.store_folder(args.store))]
-    checks += robot_checks(args.port, args.sensor_port, args.calibration) if args.port else port_checks()
+    link = (args.port, args.sensor_port, args.calibration, args.baud_rate, args.sensor_baud_rate)
+    checks += robot_checks(*link) if args.port else port_checks()
     if not args.no_graph and not any(c.name in ("interfaces", "domain") and c.status == FAULT for c in checks):
         checks += graph_checks(present_domain(), args.namespace)
     faults = sum(c.status == FAULT for c in checks)

@@ -29,14 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Load every version, compare, report, print."""
-    from tcbi_infer.bags.reader import read_measurements
     from tcbi_infer.compare.history import history, remember
     from tcbi_infer.report import Report, add_history, file_name
     from tcbi_sim.errors import UnknownNameError
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
-    measurements = read_measurements(args.bags) if args.bags else []
+    measurements = console.read_bags(args)
+    console.note_findings(measurements)
     rig = args.rig or (measurements[0].rig if measurements else "hexapod")
     versions = store.history(rig)
     if not versions:

@@ -1,9 +1,12 @@
 """`./tcbi infer`: posterior of a model's parameters from bags, saved as a new model version."""
 
 import argparse
+import math
 from typing import TYPE_CHECKING, Any
 
+from tcbi_bringup.arguments import above, at_least
 from tcbi_bringup.commands import console
+from tcbi_bringup.errors import WrongCallError
 
 if TYPE_CHECKING:
     from tcbi_infer.tcbi.advice import Advice
@@ -36,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(docs/baselines.md)",
     )
     console.add_model(parser, "model version whose parameters are inferred")
-    parser.add_argument("--particles", type=int, help="simulated in each generation, at least 10 (default: 50)")
-    parser.add_argument("--generations", type=_positive, help="at most (default: 6, paper 15)")
+    parser.add_argument("--particles", type=at_least(10), help="simulated in each generation, at least 10 (default: 50)")
+    parser.add_argument("--generations", type=at_least(1), help="at most (default: 6, paper 15)")
     parser.add_argument(
         "--set",
         action="append",
@@ -46,7 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="a setting of the method's own, such as alpha=5 of paper; may be repeated",
     )
-    parser.add_argument("--rollouts", type=_positive, help="use the first so many of the bags' rollouts (default: all)")
+    parser.add_argument(
+        "--rollouts", type=at_least(1), help="use the first so many of the bags' rollouts (default: all)"
+    )
     parser.add_argument(
         "--statistics",
         help="comma-separated, instead of the method's own (`reward` is the paper's ablation); +NAME adds to them",
@@ -67,9 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="flat",
         help="flat (default); model: go on from what the model version says, with rollouts that it has not seen",
     )
-    parser.add_argument("--timestep", type=float, help="s, of the simulation (default: 0.01)")
-    parser.add_argument("--threads", type=int, default=0, help="0 (default) for all processors")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--timestep", type=above(0.0), help="s, of the simulation (default: 0.01)")
+    parser.add_argument("--threads", type=at_least(0), default=0, help="0 (default) for all processors")
+    parser.add_argument("--seed", type=at_least(0), default=0)
     parser.add_argument(
         "--truth",
         action="append",
@@ -90,27 +95,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_json(parser)
 
 
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
-    return value
-
-
 def _setting(text: str) -> tuple[str, float]:
     name, _, value = text.partition("=")
     try:
-        return name.strip(), float(value)
+        number = float(value)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE with a number, such as alpha=5") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE with a number, such as alpha=5")
+    return name.strip(), number
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, infer, save, print."""
     from tcbi_infer import posterior
-    from tcbi_infer.bags.reader import read_measurements
-    from tcbi_infer.compare.guards import guard
-    from tcbi_infer.errors import InferError
     from tcbi_infer.report import Report, add_inference
     from tcbi_infer.tcbi.driver import infer
     from tcbi_infer.tcbi.method import find_method
@@ -119,12 +117,11 @@ def run(args: argparse.Namespace) -> int:
 
     method, store = find_method(args.method), ModelStore(args.store)
     if args.statistics and not method.by_task:
-        raise InferError(f"method {method.name} looks at trajectories, not at statistics; leave --statistics out")
+        raise WrongCallError(f"method {method.name} looks at trajectories, not at statistics; leave --statistics out")
     if args.advise and not method.judges:
-        raise InferError(f"method {method.name} does not judge what the data tell; leave --advise out")
-    measurements = read_measurements(args.bags)[: args.rollouts]
-    for finding in guard(measurements):
-        console.note(f"note: {finding}")
+        raise WrongCallError(f"method {method.name} does not judge what the data tell; leave --advise out")
+    measurements = console.read_bags(args)[: args.rollouts]
+    console.note_findings(measurements)
     model = store.load(args.model, measurements[0].rig)
     truth = _known(args.truth, model.names)
     problem = Problem.of(

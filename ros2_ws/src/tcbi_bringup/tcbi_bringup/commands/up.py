@@ -22,13 +22,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy", default="", help="what acts: a .safetensors file, a policy of the store, or gait:NAME"
     )
-    console.add_model(parser, "model version to simulate")
+    console.add_model(parser, "model version to simulate, and to infer the parameters of")
     parser.add_argument("--lockstep", action="store_true", help="simulate as fast as it goes, with /clock (sim only)")
     parser.add_argument("--namespace", default="", help="put before every topic, for several robots in one domain")
     parser.add_argument(
         "--seed", type=at_least(0), default=0, help="of the simulation or the emulated robot (default: 0)"
     )
     console.add_robot_link(parser)
+    parser.add_argument(
+        "--bags",
+        type=Path,
+        metavar="FOLDER",
+        help="where rollouts are recorded, and where the inference node looks for them (default: in the store)",
+    )
     console.add_hidden(parser)
     parser.add_argument("--no-learning", action="store_true", help="leave out the inference and the retrain node")
     parser.add_argument(
@@ -38,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_examples(
         parser,
         "./tcbi up",
-        "./tcbi up --robot emulated --policy gait:tripod",
+        "./tcbi up --robot emulated --policy gait:tripod --bags rollouts",
         "./tcbi up --robot emulated --hidden payload --strength weak --seed 7",
         "./tcbi up --robot /dev/rfcomm0 --calibration my_robot.toml",
         "ROS_DOMAIN_ID=7 ./tcbi up --lockstep --task forward",
@@ -63,15 +69,18 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         sensor_port=args.sensor_port,
         calibration=args.calibration,
+        baud_rate=args.baud_rate,
+        sensor_baud_rate=args.sensor_baud_rate,
         hidden=args.hidden,
         strength=args.strength,
         learning=not args.no_learning,
+        recordings=args.bags.expanduser().resolve() if args.bags else None,
     )
     options.check()
     domain, folder = present_domain(), log_folder(args.log_dir)
     asked = end_requests()
     with hold_domain(domain, options.namespace), GraphMonitor(domain, options.namespace) as monitor:
-        refuse_second_graph(monitor, domain, options.namespace)
+        refuse_second_graph(monitor, domain, options.namespace, own_clock=options.lockstep)
         if asked():
             return INTERRUPTED
         if options.robot == SIM:

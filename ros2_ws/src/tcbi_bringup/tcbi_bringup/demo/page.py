@@ -51,10 +51,13 @@ def label(model: Model) -> str:
 def _in_short(report: Report, outcome: Outcome, truth: dict[str, object]) -> None:
     steps = [f"{step}: {text}" for step, text in outcome.narration.lines]
     hidden = str(truth["hidden"])
-    right = set(parts(hidden)) == {e.partition(":")[0] for e in outcome.effects}
     said = ", ".join(outcome.effects) or "nothing"
-    verdict = f"Hidden in the robot: {hidden if hidden != 'none' else 'nothing'}. Found: {said}."
-    report.add(Section("In short", verdict=verdict, tone="good" if right else "warn", notes=steps))
+    verdict = (
+        f"Hidden in the robot: {hidden if hidden != 'none' else 'nothing'}. Found: {said}. "
+        f"Verdict: {outcome.diagnoses[0].headline}."
+    )
+    tone = "good" if outcome.right(parts(hidden)) else "warn"
+    report.add(Section("In short", verdict=verdict, tone=tone, notes=steps))
 
 
 def _parameters(report: Report, outcome: Outcome, truth: dict[str, object]) -> None:

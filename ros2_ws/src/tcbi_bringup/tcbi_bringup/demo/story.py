@@ -3,7 +3,7 @@
 Every figure is measured on the spot. What is hidden in the robot is looked at once, at the very end, to be named.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,6 +70,11 @@ class Outcome:
     def verdict(self) -> str:
         """Of the first diagnosis: what was missing in the model that the user came with."""
         return self.diagnoses[0].verdict if self.diagnoses else ""
+
+    def right(self, hidden: Sequence[str]) -> bool:
+        """Whether what was said is what is hidden (names of effects): these alone, or that nothing is missing."""
+        said = {use.partition(":")[0] for use in self.effects}
+        return said == set(hidden) and self.verdict == (EFFECT if hidden else NOTHING_MISSING)
 
     @property
     def effects(self) -> list[str]:
@@ -223,20 +228,27 @@ class Story:
 
     def _rollout(self, policy: str, seed: int, folder: Path, **options: Any) -> Measurement:
         """Record one; again if a busy machine held up the robot or what records it."""
-        for left in reversed(range(RECORDINGS)):
+        tried: list[tuple[float, Path, Measurement]] = []  # share that is spoilt, bag, what it holds
+        fault: DemoError | None = None
+        for _ in range(RECORDINGS):
             try:
                 bag = self.lab.record(TASK, policy, seed, folder, **options)
             except DemoError as error:
-                if not left:
-                    raise
-                self.say(f"{error}; it is recorded again")
+                fault = error
+                self.say(f"{policy}, seed {seed}: {error}; it is recorded again")
                 continue
             (measurement,) = read_measurements([bag])
-            spoilt = unusable(measurement, measurement.time).sentences
-            if not (spoilt and left):
+            spoilt = unusable(measurement, measurement.time)
+            tried.append((float(spoilt.averages.mean()), bag, measurement))
+            if not spoilt.sentences:
                 break
-            self.say(f"{spoilt[0]}; it is recorded again")
-        return measurement
+            self.say(f"{policy}, seed {seed}: a busy machine spoilt it; it is recorded again ({spoilt.sentences[0]})")
+        if not tried:
+            raise fault or DemoError("nothing was recorded")
+        tried.sort(key=lambda one: one[0])
+        for _, bag, _ in tried[1:]:
+            _set_aside(bag)
+        return tried[0][2]
 
     def _motions(self, wanted: list[Recording], name: str, seed: int, advance: Advance = _silent) -> list[Measurement]:
         """Gaits; the ground is tilted another way under each motion."""
@@ -288,8 +300,15 @@ class Story:
         values = ", ".join(with_unit(f"{p.name} {v:.3g}", p.unit) for p, v in means)
         self.say(f"{saved.version} {what}: {values}")
         if diagnosis.verdict == NOTHING_MISSING:
-            self.say("nothing is missing: no effect is added")
+            self.say(f"{'nothing is missing' if diagnosis.reassuring else 'no effect is named'}: none is added")
         return saved
+
+
+def _set_aside(bag: Path) -> None:
+    """Put a spoilt bag where nobody takes it for one of the rollouts."""
+    aside = bag.parent / "spoilt"
+    aside.mkdir(exist_ok=True)
+    bag.rename(aside / bag.name)
 
 
 def mean_return(measurements: list[Measurement]) -> float:

@@ -13,9 +13,13 @@ from tcbi_dashboard.picker import HOW_TO_RECORD, Picker
 from tcbi_dashboard.session import Session
 from tcbi_dashboard.views.base import View
 from tcbi_dashboard.views.record import start_recording
-from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, NextMotion, step_label
+from tcbi_infer.diagnose.evidence import EFFECT, NextMotion, step_label
 
-TONES = {EFFECT: "warn", NOTHING_MISSING: "good"}
+
+def _tone(diagnosis: dict[str, Any]) -> str:
+    if diagnosis.get("reassuring"):
+        return "good"
+    return "warn" if diagnosis["verdict"] == EFFECT else ""
 
 
 def read(path: Path | None) -> dict[str, Any] | None:
@@ -93,7 +97,7 @@ class WhyView(View):
 
     def _verdict(self, d: dict[str, Any]) -> None:
         with card(f"{d.get('headline', 'Diagnosis')} ({d['model']})"):
-            words(d["statement"], "p", f"tcbi-verdict {TONES.get(d['verdict'], '')}").mark("verdict")
+            words(d["statement"], "p", f"tcbi-verdict {_tone(d)}").mark("verdict")
             notes([*d.get("guards", ()), *d.get("claims", ())])
             if d.get("uses"):
                 use = d["uses"][0]

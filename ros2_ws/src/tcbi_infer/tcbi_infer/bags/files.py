@@ -38,15 +38,17 @@ def mcap_files(bag: Path) -> list[Path]:
 def find_bags(paths: Iterable[Path]) -> list[Path]:
     """The bags among `paths`; a folder that is no bag itself stands for the bags in it, in order of name.
 
+    What `left_out` names is not among them.
+
     Raises:
       BagError: a path holds no bag.
     """
+    paths = list(paths)
+    skipped = left_out(paths)
     found: list[Path] = []
-    for path in paths:
+    for path in (p for p in paths if p not in skipped):
         if path.is_dir() and not is_bag(path):
-            busy = is_recording(path)
-            inside = [p for p in sorted(path.iterdir(), key=_natural) if is_bag(p) and not set_aside(p)]
-            inside = [p for p in inside if not (busy and p.suffix == UNFINISHED)]
+            inside = [p for p in sorted(path.iterdir(), key=_natural) if is_bag(p) and not _unwanted(p)]
             if not inside:
                 raise BagError(f"{path}: {_what_instead(path)}")
             found += inside
@@ -56,6 +58,16 @@ def find_bags(paths: Iterable[Path]) -> list[Path]:
             mcap_files(path)
             found.append(path)
     return list(dict.fromkeys(found))
+
+
+def left_out(paths: Iterable[Path]) -> dict[Path, str]:
+    """Which of several paths, as a shell's `rollouts/*` names them, are no rollouts of their own, each with the reason.
+
+    None where all are like that: who names a damaged original alone wants it.
+    """
+    paths = dict.fromkeys(paths)
+    reasons = {path: why for path in paths if (why := _unwanted(path))}
+    return reasons if len(reasons) < len(paths) else {}
 
 
 def is_bag(path: Path) -> bool:
@@ -81,6 +93,16 @@ def is_recording(folder: Path) -> bool:
 def set_aside(path: Path) -> bool:
     """Whether this is an original that a repair kept."""
     return ASIDE in path.suffixes
+
+
+def _unwanted(path: Path) -> str:
+    """Why a bag, or a file in it, is no rollout of its own; empty for any other."""
+    for bag in (path, path.parent) if path.is_file() else (path,):
+        if set_aside(bag):
+            return "it is the damaged original that a repair kept"
+        if bag.suffix == UNFINISHED and is_recording(bag.parent):
+            return "it is being recorded right now"
+    return ""
 
 
 def bag_name(bag: Path) -> str:

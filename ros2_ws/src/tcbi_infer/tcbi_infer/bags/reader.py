@@ -133,7 +133,8 @@ def _rig(recording: Recording, span: Span, wanted: str | None) -> tuple[str, tup
         shown = ", ".join(missing[:3]) + (" …" if len(missing) > 3 else "")
         raise BagError(
             f"{recording.path}: it is a recording of another robot: its joints are "
-            f"{', '.join(seen) or 'without names'}, the hexapod's {shown} are missing"
+            f"{', '.join(seen) or 'without names'}, the hexapod's {shown} are missing; describe that robot as a rig "
+            "(docs/rigs.md) and bring its logs with ./tcbi import and a mapping that names the rig (docs/bags.md)"
         )
     if wanted is not None and rig != wanted:
         raise BagError(

@@ -129,4 +129,7 @@ def _first_stamp(recording: Recording) -> int:
 def lacking(recording: Recording) -> str:
     """What to say of a bag without joint states."""
     topics = ", ".join(recording.topics[:6]) + (", …" if len(recording.topics) > 6 else "")
-    return f"no joint_states (sensor_msgs/JointState) in it, without which nothing can be compared; it has {topics}"
+    return (
+        f"no joint_states (sensor_msgs/JointState) in it, without which nothing can be compared; it has {topics}; "
+        "record it while the driver or the sim node runs (./tcbi collect), or remap the robot's own topic to that name"
+    )

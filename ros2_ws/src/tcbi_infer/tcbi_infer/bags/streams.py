@@ -105,7 +105,7 @@ def _namespace(bag: Path, kept: dict[str, list[Message]], wanted: str | None) ->
         return wanted.strip("/")
     if len(found) > 1:
         raise BagError(
-            f"{bag}: joint_states of {len(found)} robots ({', '.join(map(repr, found))}); choose one namespace"
+            f"{bag}: joint_states of {len(found)} robots ({', '.join(map(repr, found))}); choose one with --namespace"
         )
     return found[0] if found else ""
 
@@ -204,17 +204,7 @@ def ordered(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
     Where a clock was set back, the longest stretch before or after is kept. Messages that overtook each other are
     sorted. Of samples with one stamp the first is kept.
     """
-    order = np.arange(len(stamp))
-    back = np.flatnonzero(np.diff(stamp) < -JUMP_S * 1e9)
-    if back.size:
-        pieces = np.split(order, back + 1)
-        order = max(pieces, key=len)
-        worst = -np.diff(stamp).min() * 1e-9
-        often = "once" if back.size == 1 else f"{back.size} times"
-        notes.append(
-            f"{name}: time goes back {often}, by up to {worst:.3g} s (a clock was set); only the longest "
-            f"stretch is used, {len(order)} of {len(stamp)} samples"
-        )
+    order = longest_stretch(name, stamp, notes)
     moved = int(np.sum(np.diff(stamp[order]) < 0))
     order = order[np.argsort(stamp[order], kind="stable")]
     fresh = np.concatenate([[True], np.diff(stamp[order]) > 0])
@@ -223,3 +213,18 @@ def ordered(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
     if not fresh.all():
         notes.append(f"{name}: left out {counted(int(np.sum(~fresh)), 'sample')} with the stamp of another")
     return order[fresh]
+
+
+def longest_stretch(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Indices of the longest stretch of stamps (ns) in which no clock was set back; one that was is said in `notes`."""
+    order = np.arange(len(stamp))
+    back = np.flatnonzero(np.diff(stamp) < -JUMP_S * 1e9)
+    if back.size:
+        order = max(np.split(order, back + 1), key=len)
+        worst = -np.diff(stamp).min() * 1e-9
+        often = "once" if back.size == 1 else f"{back.size} times"
+        notes.append(
+            f"{name}: time goes back {often}, by up to {worst:.3g} s (a clock was set); only the longest "
+            f"stretch is used, {len(order)} of {len(stamp)} samples"
+        )
+    return order

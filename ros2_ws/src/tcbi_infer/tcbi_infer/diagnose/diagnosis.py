@@ -24,6 +24,7 @@ from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
     EFFECT,
     OUTSIDE_LIBRARY,
+    WELL_PREDICTED,
     DetectableSize,
     Diagnosis,
     Evidence,
@@ -40,7 +41,7 @@ from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.screen import Directions, Screen, simulate_directions
 from tcbi_infer.diagnose.search import Progress, Search, refined
 from tcbi_infer.diagnose.settings import Settings
-from tcbi_infer.diagnose.verdict import MOSTLY, WELL_PREDICTED, Ruling, accept, ranked, rule
+from tcbi_infer.diagnose.verdict import MOSTLY, Ruling, accept, better_misfit, ranked, rule
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import candidates
 from tcbi_sim.errors import UnknownNameError
@@ -227,8 +228,8 @@ class _Run:
     ) -> Diagnosis:
         """Rule, and put together everything that the verdict rests on."""
         kinds, sealed = len(self.split.folds), judge.sealed
-        error, by_kind = judge.held_out_error(before), judge.errors_by_kind(before)
-        ruling = rule(ranking, error, by_kind, judge.unfitted, before.fit.converged)
+        misfit, unfitted = judge.misfit(before), judge.unfitted_misfit()
+        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged)
         errors = {"unfitted": judge.unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
@@ -270,6 +271,7 @@ class _Run:
             next_motions=self._next_motions(ruling, before, after, detectable),
             leftover=leftover,
             agreement=agreed,
+            misfit=better_misfit(misfit, unfitted),
         )
 
     def _guards(self, base: Judged, after: dict[str, Judged]) -> tuple[str, ...]:

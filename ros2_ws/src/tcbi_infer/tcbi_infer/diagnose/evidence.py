@@ -10,12 +10,26 @@ from tcbi_contract.wording import with_unit
 
 EFFECT, CANNOT_TELL = "effect", "cannot_tell"
 NOTHING_MISSING, OUTSIDE_LIBRARY = "nothing_missing", "outside_library"
+WELL_PREDICTED = 3.0  # times the noise floor; of 20 emulated robots with nothing hidden three left more
 HEADLINES = {
     EFFECT: "An effect is missing",
     CANNOT_TELL: "An effect is missing, but which one cannot be told",
     NOTHING_MISSING: "Nothing missing was found",
     OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
 }
+
+
+@dataclasses.dataclass(frozen=True)
+class Misfit:
+    """Error over the noise floor on motions held out: of all together, and of each kind by the name of a rollout."""
+
+    total: float
+    by_kind: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def badly_predicted(self) -> int:
+        """Kinds of motion that err by more than WELL_PREDICTED."""
+        return sum(error > WELL_PREDICTED for error in self.by_kind.values())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -254,6 +268,7 @@ class Diagnosis:
       statement: the verdict in a sentence.
       threshold: of the statistic, from simulations of "nothing missing".
       errors: the ladder: label -> error over noise floor, on rollouts that no fit saw.
+      misfit: of the base model, refitted (each open kind of motion held out in turn) or as it was, if that is better.
       untestable: uses that change nothing in these rollouts.
       moments: where the base model fails worst, with and without the candidates.
       claims: caveats in sentences: how the data were split, what no claim is made about.
@@ -286,6 +301,7 @@ class Diagnosis:
     next_motions: tuple[NextMotion, ...] = ()
     leftover: Leftover | None = None
     agreement: dict[str, tuple[Agreement, ...]] = dataclasses.field(default_factory=dict)
+    misfit: Misfit | None = None
 
     def moments_json(self) -> list[dict[str, Any]]:
         """The moments, to five digits."""
@@ -294,9 +310,16 @@ class Diagnosis:
     @property
     def headline(self) -> str:
         """The verdict in a few words, no surer than the statement: what was not accepted may be missing, no more."""
+        if not self.reassuring and self.verdict == NOTHING_MISSING:
+            return "No effect is named, but not every motion is predicted"
         if self.verdict != CANNOT_TELL or any(e.accepted for e in self.ranking):
             return HEADLINES[self.verdict]
         return "These rollouts cannot tell" if self.nothing_held_out else "An effect may be missing"
+
+    @property
+    def reassuring(self) -> bool:
+        """Whether nothing is missing, and the motions are predicted well."""
+        return self.verdict == NOTHING_MISSING and not (self.misfit and self.misfit.total > WELL_PREDICTED)
 
     @property
     def nothing_held_out(self) -> bool:
@@ -313,6 +336,7 @@ class Diagnosis:
         ranking = [e.to_json() for e in self.ranking]
         return _plain({
             "headline": self.headline, "nothing_held_out": self.nothing_held_out,
+            "reassuring": self.reassuring,
             **fields, "ranking": ranking, "base": self.base.to_json(),
         })  # fmt: skip
 

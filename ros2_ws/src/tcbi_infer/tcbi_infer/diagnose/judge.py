@@ -16,7 +16,7 @@ from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replicates import Split
 from tcbi_infer.compare.signals import JOINT
 from tcbi_infer.diagnose import paired
-from tcbi_infer.diagnose.evidence import Evidence, Moment, ParameterEstimate
+from tcbi_infer.diagnose.evidence import Evidence, Misfit, Moment, ParameterEstimate
 from tcbi_infer.diagnose.fit import Fit, Nuisance
 from tcbi_infer.diagnose.heldout import HeldOut, fold_indices, held_out, intervals
 from tcbi_infer.diagnose.problem import Problem
@@ -52,7 +52,7 @@ class Judge:
         nuisance: Nuisance,
         timestep: float,
     ) -> None:
-        self.problem, self.replay, self.split, self.floor = problem, problem.replay, split, floor
+        self.model, self.problem, self.replay, self.split, self.floor = model, problem, problem.replay, split, floor
         self.nuisance, self.timestep = nuisance, timestep
         self.sets = np.array(split.open, int)
         self.sizes = np.array([len(fold) for fold in fold_indices(problem, self.sets)])
@@ -73,13 +73,30 @@ class Judge:
         """Error over the floor of the open motions, each predicted without its own kind."""
         return self._error(self.problem.observed[self.sets] - judged.held.residual, list(self.sets))
 
-    def errors_by_kind(self, judged: Judged) -> dict[str, float]:
-        """The same of each kind of motion, by the name of its first rollout."""
-        predicted, found = self.problem.observed[self.sets] - judged.held.residual, {}
-        for fold in fold_indices(self.problem, self.sets):
-            first = self.replay.replicates[self.sets[fold[0]]].members[0]
-            name = self.replay.measurements[first].rollout_id
-            found[name] = self._error(predicted[fold], list(self.sets[fold]))
+    def misfit(self, judged: Judged) -> Misfit:
+        """Of the open motions, each predicted without its own kind."""
+        predicted = self.problem.observed[self.sets] - judged.held.residual
+        return Misfit(self.held_out_error(judged), self._by_kind(predicted))
+
+    def unfitted_misfit(self) -> Misfit:
+        """Of the model as it was, never fitted: of all motions that no fit saw, and of each open kind."""
+        mean = self.model.mean()[None]
+        return Misfit(
+            self.unfitted, self._by_kind(self.replay.predict(self.model, mean, list(self.sets), self.timestep)[0])
+        )
+
+    def _by_kind(self, predicted: np.ndarray) -> dict[str, float]:
+        """Errors of predictions (open sets, T, C); infinite where one diverged, left out where nothing was measured."""
+        found: dict[str, float] = {}
+        for number, fold in enumerate(fold_indices(self.problem, self.sets), 1):
+            sets = self.sets[fold]
+            counts = self.problem.weight[sets] > 0
+            if not counts.any():
+                continue
+            first = self.replay.measurements[self.replay.replicates[sets[0]].members[0]]
+            name = f"{first.rollout_id} ({first.policy_id or f'motion {number}'})"
+            whole = np.isfinite(predicted[fold][counts]).all()
+            found[name] = self._error(predicted[fold], list(sets)) if whole else float("inf")
         return found
 
     def _unseen_error(self, fit: Fit, held: HeldOut) -> float:

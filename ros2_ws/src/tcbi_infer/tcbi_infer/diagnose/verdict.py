@@ -1,17 +1,24 @@
 """From evidence to a verdict: what is required of an effect before it is named, and how the verdict is worded."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose import paired
-from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY, Evidence
+from tcbi_infer.diagnose.evidence import (
+    CANNOT_TELL,
+    EFFECT,
+    NOTHING_MISSING,
+    OUTSIDE_LIBRARY,
+    WELL_PREDICTED,
+    Evidence,
+    Misfit,
+)
 
 LEVEL = 0.95  # of the test that one candidate is better than another
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
-WELL_PREDICTED = 3.0  # times the noise floor: above what emulated robots with nothing hidden were seen to leave
 WIDELY = 0.25  # quantile over the kinds of motion that must err so much, before it is more than a slip in one of them
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
 MOSTLY = 1 / 2  # of the excess error: nothing is called complete that one more effect would explain so far
@@ -115,40 +122,36 @@ def ranked(judged: Sequence[Evidence]) -> list[Evidence]:
 
 
 def rule(
-    ranking: Sequence[Evidence],
-    base_error: float,
-    by_kind: Mapping[str, float],
-    unfitted: float,
-    base_converged: bool = True,
+    ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitted: Misfit, base_converged: bool = True
 ) -> Ruling:
     """The verdict.
 
     Args:
       ranking: candidates, best first, acceptance decided.
-      base_error: held-out error over the floor of the refitted base model.
-      by_kind: the same of each kind of motion, by the name of a rollout.
-      unfitted: error over the floor of the model as it was.
+      base: held-out error of the refitted base model.
+      kinds: of motion.
+      unfitted: of the model as it was.
       base_converged: whether the base model's own fit did; a bad one looks like a missing effect.
     """
     accepted = [e for e in ranking if e.accepted]
-    if len(by_kind) < 2:
+    if kinds < 2:
         return Ruling(
             CANNOT_TELL,
             (),
             "These rollouts show one kind of motion, so that no fit can be tried on another and nothing is told: "
-            f"fitted to it, the model still errs by {base_error:.1f} times the noise floor. Record {MIN_KINDS} kinds "
+            f"fitted to it, the model still errs by {base.total:.1f} times the noise floor. Record {MIN_KINDS} kinds "
             "of motion or more, each twice.",
         )
-    if not base_converged and (accepted or base_error > WELL_PREDICTED):
+    if not base_converged and (accepted or base.total > WELL_PREDICTED):
         doubt = f", and {accepted[0].use} may only make up for that" if accepted else ""
         return Ruling(
             CANNOT_TELL,
             tuple(e.use for e in accepted[:1]),
-            f"The fit of the base model did not converge{doubt}: it errs by {base_error:.1f} times the noise floor. "
+            f"The fit of the base model did not converge{doubt}: it errs by {base.total:.1f} times the noise floor. "
             "Begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions.",
         )
     if not accepted:
-        return _none_accepted(ranking, base_error, by_kind, unfitted)
+        return _none_accepted(ranking, base, kinds, unfitted)
     best = accepted[0]
     left, explained = best.error_after, _explained(best)
     if left > WELL_PREDICTED and explained < EXPLAINED:
@@ -160,8 +163,7 @@ def rule(
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
     equal = indistinct(best, accepted[1:]) + better(best, ranking)
-    few = len(by_kind) < MIN_KINDS
-    caveat = f" With {len(by_kind)} kinds of motion no false-alarm rate is claimed." if few else ""
+    caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])
         return Ruling(
@@ -184,14 +186,16 @@ def _explained(e: Evidence, unfitted: float = np.inf) -> float:
     return (before - e.error_after) / max(before - 1.0, 1e-6) if e.refined else 0.0
 
 
-def _none_accepted(
-    ranking: Sequence[Evidence], base_error: float, by_kind: Mapping[str, float], unfitted: float
-) -> Ruling:
-    best = ranking[0] if ranking else None
-    error = f"the refitted model errs by {base_error:.1f} times the noise floor"
-    if _lowered(base_error, unfitted):
-        error = f"the model as it was errs by {unfitted:.1f} times the noise floor, refitted by {base_error:.1f}"
-        base_error = unfitted
+def better_misfit(base: Misfit, unfitted: Misfit) -> Misfit:
+    """Of the base model, refitted or as it was, whichever predicts better."""
+    return unfitted if _lowered(base.total, unfitted.total) else base
+
+
+def _none_accepted(ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitted: Misfit) -> Ruling:
+    best, misfit = ranking[0] if ranking else None, better_misfit(base, unfitted)
+    error = f"the refitted model errs by {base.total:.1f} times the noise floor"
+    if misfit is unfitted:
+        error = f"the model as it was errs by {unfitted.total:.1f} times the noise floor, refitted by {base.total:.1f}"
     hint = f" The best candidate was {best.use}: {best.reason}." if best else ""
     if best and best.reason == CONTRADICTED:
         return Ruling(
@@ -199,30 +203,36 @@ def _none_accepted(
             (best.use,),
             f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more motions.",
         )
-    much = EXPLAINED if base_error > WELL_PREDICTED else MOSTLY
-    if best and base_error > NOTICEABLE and _explained(best, unfitted) >= much:
+    much = EXPLAINED if misfit.total > WELL_PREDICTED else MOSTLY
+    if best and misfit.total > NOTICEABLE and _explained(best, unfitted.total) >= much:
         return Ruling(
             CANNOT_TELL,
             (best.use,),
-            f"Something may be missing: {error}. {best.use} explains {100 * _explained(best, unfitted):.0f} % of the "
-            f"excess, but is not certain: {best.reason}.",
+            f"Something may be missing: {error}. {best.use} explains {100 * _explained(best, unfitted.total):.0f} % "
+            f"of the excess, but is not certain: {best.reason}.",
         )
-    wide = float(np.quantile(list(by_kind.values()), WIDELY, method="lower")) > WELL_PREDICTED
-    if base_error > WELL_PREDICTED and wide:
+    if misfit.total > WELL_PREDICTED and _in_most(misfit):
         return Ruling(
             OUTSIDE_LIBRARY, (), f"{error[0].upper()}{error[1:]}, and no effect of the library explains it.{hint}"
         )
-    if base_error > WELL_PREDICTED:
-        most = max(by_kind, key=lambda name: by_kind[name])
+    few = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion small effects cannot be seen."
+    if misfit.total > WELL_PREDICTED:
+        worst = max(misfit.by_kind, key=lambda name: misfit.by_kind[name])
         return Ruling(
             NOTHING_MISSING,
             (),
-            f"Most of these rollouts show nothing missing: {error}, but not in all kinds of motion; most in {most}, by "
-            f"{by_kind[most]:.1f}. See whether a foot slips there, and record it twice.{hint}",
+            f"No effect is named: {error}; in {misfit.badly_predicted} of {kinds} kinds of motion by more than "
+            f"{WELL_PREDICTED:g}, most in {worst}, by {misfit.by_kind[worst]:.1f}. That is too few to say that the "
+            f"library lacks something: see what differs there (a slip, a knock), and record it again.{hint}{few}",
         )
-    few = "" if len(by_kind) >= MIN_KINDS else f" With {len(by_kind)} kinds of motion small effects cannot be seen."
     return Ruling(
         NOTHING_MISSING,
         (),
         f"These rollouts show nothing missing: {error}.{hint}{few}",
     )
+
+
+def _in_most(misfit: Misfit) -> bool:
+    """Whether so many kinds of motion err that it is no slip in some of them."""
+    errors = list(misfit.by_kind.values()) or [misfit.total]
+    return float(np.quantile(errors, WIDELY, method="lower")) > WELL_PREDICTED

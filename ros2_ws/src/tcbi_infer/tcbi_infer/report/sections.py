@@ -6,7 +6,7 @@ from typing import Any
 from tcbi_contract.wording import with_unit
 from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose import detectable, excitation
-from tcbi_infer.diagnose.evidence import EFFECT, NOTHING_MISSING, Diagnosis, Evidence, step_label
+from tcbi_infer.diagnose.evidence import EFFECT, Diagnosis, Evidence, step_label
 from tcbi_infer.report import plots
 from tcbi_infer.report.explained import agreement_section, leftover_section
 from tcbi_infer.report.page import Figure, Report, Section, Table
@@ -46,7 +46,7 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[
       earlier: steps of the ladder that led to the model diagnosed: label and error over the noise floor.
     """
     d = diagnosis
-    tone = {EFFECT: "warn", NOTHING_MISSING: "good"}.get(d.verdict, "neutral")
+    tone = "good" if d.reassuring else {EFFECT: "warn"}.get(d.verdict, "neutral")
     sizes = Table(detectable.HEAD, detectable.rows(d.detectable), detectable.TITLE) if d.detectable else None
     report.add(Section(d.headline, verdict=d.statement, tone=tone, notes=d.claims, table=sizes, folded=True))
     if d.guards:

@@ -12,6 +12,7 @@ from functools import cache
 from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics.base import RolloutArrays, Statistic, from_measurements, padded_commands
+from tcbi_sim.errors import UnknownNameError
 
 PAPER = ("reward", "attitude", "contact_ratio")
 CALIBRATED = (*PAPER, "joint_tracking", "early_response", "body_rates")
@@ -51,11 +52,12 @@ def select(names: tuple[str, ...], arrays: RolloutArrays) -> tuple[tuple[Statist
     """The named statistics that these rollouts allow, and a line for each that they do not.
 
     Raises:
-      InferError: a name is unknown, or nothing is left.
+      UnknownNameError: there is no such statistic.
+      InferError: nothing is left.
     """
-    unknown = [name for name in names if name not in library()]
-    if unknown:
-        raise InferError(f"unknown statistic {', '.join(unknown)}; known are {', '.join(sorted(library()))}")
+    for name in names:
+        if name not in library():
+            raise UnknownNameError("statistic", name, sorted(library()))
     reasons = {name: library()[name].missing(arrays) for name in names}
     kept = tuple(library()[name] for name in names if not reasons[name])
     left_out = tuple(f"statistic {name} left out: the rollouts have {why}" for name, why in reasons.items() if why)

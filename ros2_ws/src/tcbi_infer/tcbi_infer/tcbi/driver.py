@@ -10,6 +10,7 @@ bits as one that ran through.
 import contextlib
 import hashlib
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -18,15 +19,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tcbi_contract.errors import describe
-from tcbi_infer.errors import InferError
+from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result, estimates, misfits, unfinished
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 from tcbi_sim.engine import SimError
+from tcbi_sim.errors import UnknownNameError
 
 LEAST_PARTICLES = 10  # a generation; from fewer no spread can be told
+SHARES = {"prior_share", "least_ess", "tau", "kept", "least_accepted", "accepted"}  # settings from 0 to 1
 
 
 class Progress(NamedTuple):
@@ -67,12 +70,14 @@ def infer(
 
     Raises:
       Interrupted: on Ctrl-C, after the state of the last whole generation was kept.
-      InferError: unknown method, or every simulation diverged.
+      UnknownNameError: there is no such method.
+      SettingError: it cannot have these settings, or this divergence.
+      InferError: every simulation diverged.
     """
     chosen = find_method(method)
     given = settings_of(chosen, settings)
     if problem.divergence_name != "js" and not chosen.any_divergence:
-        raise InferError(f"method {method} works with the divergence js alone; leave it out, or take method paper")
+        raise SettingError(f"method {method} works with the divergence js alone; leave it out, or take method paper")
     place = None if folder is None else folder / run_name(problem, method, given, seed)
     loop = _Loop(problem, chosen, given, seed, place, watch)
     with _stopping(place):
@@ -87,19 +92,25 @@ def settings_of(method: Method, given: Mapping[str, Any]) -> Any:
     """The method's settings with those given.
 
     Raises:
-      InferError: a setting that the method does not have, or a budget that is too small to tell anything.
+      UnknownNameError: the method does not have such a setting.
+      SettingError: it does not take this value.
     """
-    known = method.settings._fields
-    unknown = sorted(set(given) - set(known))
-    if unknown:
-        raise InferError(f"method {method.name} has no setting {unknown[0]!r}; it has {', '.join(known)}")
     defaults = method.settings()
-    values = {name: type(getattr(defaults, name))(value) for name, value in given.items()}  # 5.0 particles are 5
-    settings = method.settings(**values)
-    for name, least in (("particles", LEAST_PARTICLES), ("generations", 1)):
-        if getattr(settings, name) < least:
-            raise InferError(describe(name, getattr(settings, name), f"{least} or more"))
-    return settings
+    for name in given:
+        if name not in defaults._fields:
+            raise UnknownNameError(f"setting of method {method.name}", name, defaults._fields)
+    return defaults._replace(**{name: _checked(name, given[name], getattr(defaults, name)) for name in given})
+
+
+def _checked(name: str, value: float, default: float) -> float:
+    """The value of a setting, of its default's kind: 5.0 particles are 5."""
+    kind = type(default)
+    least = LEAST_PARTICLES if name == "particles" else kind is int
+    most = 1 if name in SHARES else math.inf
+    if not (math.isfinite(value) and least <= value <= most and kind(value) == value):
+        allowed = f"{least:d} to {most}" if name in SHARES else f"{least:d} or more"
+        raise SettingError(describe(name, value, f"a whole number, {allowed}" if kind is int else allowed))
+    return kind(value)
 
 
 def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:

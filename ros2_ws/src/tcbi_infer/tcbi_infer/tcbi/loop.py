@@ -28,7 +28,7 @@ def find_controllers(
             found[policy_id] = _load(policy_id, policies)
     except PolicyError as e:
         if loop == "closed":
-            raise
+            raise PolicyError(f"closed loop: {e}") from e  # the rollouts name it, not the user
         return {}, f"open loop: the recorded commands are replayed, since a policy cannot be loaded ({e})"
     return found, f"closed loop: {', '.join(ids)} act on the simulated robot"
 

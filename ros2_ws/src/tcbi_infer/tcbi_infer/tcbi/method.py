@@ -13,12 +13,12 @@ import numpy as np
 
 from tcbi_infer.baselines import abc_smc, bayesopt, budget, npe, prior, rejection, simopt, trajectory
 from tcbi_infer.baselines.trajectory import Trajectories
-from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import CALIBRATED, PAPER
 from tcbi_infer.tcbi import calibrated, paper
 from tcbi_infer.tcbi.features import Features, Observed
 from tcbi_infer.tcbi.problem import Problem, View, task_features
 from tcbi_infer.tcbi.weights import effective_sample_size, normalised
+from tcbi_sim.errors import UnknownNameError
 
 Simulate = Callable[[np.ndarray], Any]  # (N, P) in [0, 1] -> what the method's view keeps
 State = Any  # a NamedTuple
@@ -234,9 +234,10 @@ def find_method(name: str) -> Method:
     """The method of that name.
 
     Raises:
-      InferError: there is none, or what it needs is not installed.
+      UnknownNameError: there is none.
+      MissingExtraError: what it needs is not installed.
     """
     if name not in METHODS:
-        raise InferError(f"unknown method {name!r}; known are {', '.join(METHODS)}")
+        raise UnknownNameError("method", name, tuple(METHODS))
     METHODS[name].check()
     return METHODS[name]
