@@ -69,6 +69,8 @@ def not_settable(request: ResetEpisode.Request) -> str:
     wishes = []
     if request.slope_roll or request.slope_pitch:
         wishes.append(f"slope roll {request.slope_roll:.3f}, pitch {request.slope_pitch:.3f} rad")
+    if request.yaw:
+        wishes.append(f"heading {request.yaw:.3f} rad")
     if request.blocks:
         wishes.append(f"{counted(len(request.blocks), 'block')}")
     if request.model:

@@ -257,6 +257,7 @@ class Collector:
             slope_roll=scenario.slope_roll,
             slope_pitch=scenario.slope_pitch,
             blocks=blocks_of(scenario),
+            yaw=scenario.initial_yaw,
             joint_position=list(scenario.initial_joint_position or ()),
             seed=scenario.seed,
             model=model,

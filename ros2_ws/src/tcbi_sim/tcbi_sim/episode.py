@@ -41,6 +41,8 @@ def requested_scenario(request: Any) -> Scenario:
     slopes = {"slope_roll": request.slope_roll, "slope_pitch": request.slope_pitch}
     outside = [(n, v) for n, v in slopes.items() if not abs(v) <= SLOPE_LIMIT + 1e-9]
     faults += [f"{name}: got {value}, allowed is -pi/6 to pi/6 rad" for name, value in outside]
+    if not math.isfinite(request.yaw):
+        faults.append(f"yaw: got {request.yaw}, allowed is a finite angle, rad")
     if not 0 <= request.duration < math.inf:
         faults.append(f"duration: got {request.duration}, allowed is 0 s (the task's own) or more")
     faults += _posture_faults(request.joint_position) + _block_faults(request.blocks)
@@ -54,6 +56,7 @@ def requested_scenario(request: Any) -> Scenario:
         request.slope_pitch,
         tuple(block_of(b) for b in request.blocks),
         tuple(float(x) for x in request.joint_position) or None,
+        initial_yaw=request.yaw,
         seed=int(request.seed),
     )
 

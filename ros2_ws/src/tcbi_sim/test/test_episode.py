@@ -12,7 +12,8 @@ from tcbi_sim.measurement import Block
 
 
 def request(**changes: object) -> SimpleNamespace:
-    values = dict(task="balance", slope_roll=0.1, slope_pitch=-0.2, blocks=[], joint_position=[], seed=7, duration=0.0)
+    values = dict(task="balance", slope_roll=0.1, slope_pitch=-0.2, blocks=[], yaw=0.0, joint_position=[], seed=7)
+    values["duration"] = 0.0
     return SimpleNamespace(**{**values, **changes})
 
 
@@ -22,10 +23,10 @@ def block(x: float = 0.5, edge: float = 0.06, yaw: float = 0.0) -> SimpleNamespa
 
 
 def test_what_is_asked_for_is_what_stands_there():
-    scenario = requested_scenario(request(blocks=[block()], joint_position=[0.1] * len(JOINTS), duration=3.0))
+    scenario = requested_scenario(request(blocks=[block()], joint_position=[0.1] * len(JOINTS), duration=3.0, yaw=-2.0))
     assert (scenario.slope_roll, scenario.slope_pitch, scenario.seed, scenario.duration) == (0.1, -0.2, 7, 3.0)
     assert scenario.blocks == (Block((0.5, 0.0, 0.03), (0.06, 0.06, 0.06)),)
-    assert scenario.initial_joint_position == (0.1,) * len(JOINTS)
+    assert scenario.initial_joint_position == (0.1,) * len(JOINTS) and scenario.initial_yaw == -2.0
 
 
 def test_what_is_left_out_is_the_tasks_own_or_neutral():
@@ -42,11 +43,12 @@ def test_every_fault_is_named_at_once():
         joint_position=[0.0] * 17 + [0.6],
         blocks=[block(), block(x=math.inf), block(edge=0.0)],
         duration=-1.0,
+        yaw=math.nan,
     )
     with pytest.raises(EpisodeError) as error:
         requested_scenario(wrong)
     text = str(error.value)
-    for word in ("dance", "slope_roll", "slope_pitch", "rr_tibia=0.6", "blocks[1]", "blocks[2].size", "duration"):
+    for word in ("dance", "slope_roll", "slope_pitch", "rr_tibia=0.6", "blocks[1]", "blocks[2].size", "duration", "yaw"):
         assert word in text
     assert "\n" not in text
 

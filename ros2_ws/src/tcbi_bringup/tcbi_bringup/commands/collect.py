@@ -197,6 +197,7 @@ def _place(request: Any) -> None:
     """Tell the operator which ground to set."""
     console.note(
         f"ground: roll {math.degrees(request.slope_roll):.1f}, pitch {math.degrees(request.slope_pitch):.1f} degrees"
+        + (f"; the robot heads {math.degrees(request.yaw):.0f} degrees to the left" if request.yaw else "")
     )
     for block in request.blocks:
         c, s = block.center, block.size

@@ -94,7 +94,7 @@ class ExperimenterNode(Node):
         )
         response.source = "experimenter"
         try:
-            self._client.place(checked(Scene(request.slope_roll, request.slope_pitch, blocks)))
+            self._client.place(checked(Scene(request.slope_roll, request.slope_pitch, blocks, request.yaw)))
         except EmulatedRobotError as error:
             response.success, response.message = False, str(error)
             return response
