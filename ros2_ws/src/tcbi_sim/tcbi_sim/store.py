@@ -146,18 +146,22 @@ class ModelStore:
             head = json.loads((folder / "model.json").read_text())
             if head["format"] != FORMAT:
                 raise StoreError(f"{folder / 'model.json'} has format {head['format']}, this version reads {FORMAT}")
+            parameters = tuple(Parameter(**p) for p in head["parameters"])
             values, log_weights = read_particles(folder / "posterior.nc")
-            model = Model(
-                head["version"],
-                head["rig"],
-                tuple(head["effects"]),
-                tuple(Parameter(**p) for p in head["parameters"]),
-                values,
-                log_weights,
-                head["parent"],
-                head["evidence"],
-                head["created"],
-            )
+            try:
+                model = Model(
+                    head["version"],
+                    head["rig"],
+                    tuple(head["effects"]),
+                    parameters,
+                    values,
+                    log_weights,
+                    head["parent"],
+                    head["evidence"],
+                    head["created"],
+                )
+            except SimError as e:
+                raise StoreError(f"{folder / 'posterior.nc'}: {e}; restore the file or remove the folder") from e
             self._check_effects(model)
             return model
         except (OSError, KeyError, TypeError, ValueError) as e:

@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 
+import h5py
 import mujoco
 import numpy as np
 import pytest
@@ -172,3 +173,12 @@ def test_a_truncated_file_is_one_clear_line(store):
 def test_a_rig_without_a_model_is_named_with_those_that_have_one(tmp_path):
     with pytest.raises(StoreError, match=r"rig 'quadruped' has no model.*hexapod"):
         ModelStore(tmp_path).load(rig="quadruped")
+
+
+def test_a_particle_out_of_its_range_is_named_with_its_file_and_a_remedy(store):
+    saved = store.save(base_model("hexapod"))
+    path = store.models / saved.version / "posterior.nc"
+    with h5py.File(path, "r+") as file:
+        file["particles/value"][3, 1] = 50.0
+    with pytest.raises(StoreError, match=r"posterior.nc: .*'mass' is 50.0, allowed is .* kg; restore the file or"):
+        store.load(saved.version)
