@@ -1,6 +1,6 @@
 """Three real recordings: held-out errors without and with effects, and what mujoco.sysid makes of the same data.
 
-./tcbi python bench/real_data.py            # XL330 pendulum (each trajectory held out), SO-101 arm, double pendulum
+./tcbi python bench/real_data.py            # XL330 pendulum (trajectories and gains held out), SO-101, double pendulum
 ./tcbi python bench/real_data.py --quick    # one trajectory of the XL330 alone, without mujoco.sysid
 ./tcbi python bench/real_data.py --only so101
 
@@ -129,24 +129,35 @@ def judge(rig: str, effects: tuple[str, ...], seen: Data, unseen: Data) -> Fitte
     return Fitted(dict(zip(model.names, map(float, values), strict=True)), error)
 
 
-def pendulum(quick: bool) -> list[dict[str, Any]]:
-    """One servo: stiffness, viscous and Coulomb friction, without and with friction that grows with the load."""
+TRAJECTORY, GAIN = 1, 0  # parts of the name of a recording of the pendulum, kp200_sin_sin
+
+
+def pendulum(by: int, quick: bool = False) -> list[dict[str, Any]]:
+    """One servo: stiffness, viscous and Coulomb friction, without and with friction that grows with the load.
+
+    Args:
+      by: what is held out in turn, each trajectory (another motion than those of the fit) or each gain.
+      quick: the first trajectory alone, fitted coarsely.
+    """
     recordings = [
         read_log(load_mapping("xl330_bench"), path) for path in sorted((DATA / "xl330_pendulum").glob("*.json"))
     ]
-    names = sorted({m.rollout_id.partition("_")[2] for m in recordings})
+    kind = {m.rollout_id: m.rollout_id.split("_", 1)[by] for m in recordings}
+    kinds = sorted(set(kind.values()))
     effort = Effort(starts=8, kept=1, steps=6) if quick else Effort(starts=48, kept=3, steps=14)
     figures: list[dict[str, Any]] = []
     squares: dict[str, list[float]] = {"": [], "load_friction": []}
-    for held in names[:1] if quick else names:
-        seen = Data([m for m in recordings if not m.rollout_id.endswith(held)], effort)
-        unseen = Data([m for m in recordings if m.rollout_id.endswith(held)], effort)
+    for held in kinds[:1] if quick else kinds:
+        seen = Data([m for m in recordings if kind[m.rollout_id] != held], effort)
+        unseen = Data([m for m in recordings if kind[m.rollout_id] == held], effort)
         for effect in squares:
             fitted = judge("motor_bench", (effect,) if effect else (), seen, unseen)
             squares[effect].append(fitted.error[0] ** 2)
             figures.append(told(f"xl330: {held} held out, {effect or 'base'}", fitted.error[0], "deg"))
     ratio = np.sqrt(np.mean(squares["load_friction"]) / np.mean(squares[""]))
-    return [*figures, told("xl330: error with load_friction to without, all held out", ratio, "1", most=0.75)]
+    what = "trajectories" if by == TRAJECTORY else "gains"
+    name = f"xl330: error with load_friction to without, all {what} held out in turn"
+    return [*figures, told(name, ratio, "1", most=0.75)]
 
 
 def arm() -> list[dict[str, Any]]:
@@ -230,7 +241,8 @@ def timed(part: Callable[[], list[dict[str, Any]]], name: str) -> list[dict[str,
 
 
 PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
-    "xl330": lambda: pendulum(quick=False),
+    "xl330": lambda: pendulum(TRAJECTORY),
+    "xl330_gains": lambda: pendulum(GAIN),
     "so101": arm,
     "double_pendulum": double_pendulum,
     "sysid": peer,
@@ -247,7 +259,10 @@ def main() -> int:
         print(f"no recordings at {DATA}; set TCBI_DATA", file=sys.stderr)
         return 1
     chosen = options.only or list(PARTS)
-    figures = pendulum(quick=True) if options.quick else [f for name in chosen for f in timed(PARTS[name], name)]
+    if options.quick:
+        figures = pendulum(TRAJECTORY, quick=True)
+    else:
+        figures = [found for name in chosen for found in timed(PARTS[name], name)]
     print(json.dumps({"name": "real_data", "figures": figures}, indent=2))
     return 0
 

@@ -1,4 +1,4 @@
-"""All nodes of `./tcbi up` together: rollouts become a posterior, the posterior asks for a training, and that ends well."""
+"""All nodes of `./tcbi up` together: rollouts become a posterior, which asks for a training, and that ends well."""
 
 import dataclasses
 import re

@@ -31,7 +31,7 @@ def bench(real_data, monkeypatch) -> ModuleType:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_load_friction_lowers_the_servos_error_on_the_trajectory_held_out_first(bench):
-    *errors, ratio = bench.pendulum(quick=True)
+    *errors, ratio = bench.pendulum(bench.TRAJECTORY, quick=True)
     held = "xl330: lift_and_drop held out"
     assert [f["name"] for f in errors] == [f"{held}, base", f"{held}, load_friction"]
     assert ratio["value"] < 0.75, "a quarter less is what is wanted"
