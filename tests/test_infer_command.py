@@ -68,21 +68,26 @@ def test_a_method_to_compare_with_says_what_its_posterior_is(bags, tmp_path, cap
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "said", "status"),
     [
-        (("--method", "magic"), "unknown method 'magic'"),
-        (("--particles", "1"), "particles: got 1, allowed is 10 or more"),
-        (("--set", "alpha=5"), "method calibrated has no setting 'alpha'; it has particles, generations"),
-        (("--divergence", "mmd"), "method calibrated works with the divergence js alone"),
-        (("--method", "simopt", "--statistics", "reward"), "looks at trajectories, not at statistics"),
-        (("--statistics", "speed"), "unknown statistic speed"),
-        (("--model", "hexapod-v0"), "is of rig hexapod"),
-        (("--loop", "closed"), "policy 'steps' does not exist"),
-        (("--rollouts", "1"), "at least 2 are needed"),
+        (("--method", "magic"), "unknown method 'magic'; known: calibrated, paper", 2),
+        (("--method", "paper", "--divergence", "magic"), "unknown divergence 'magic'; known: js, js_nearest", 2),
+        (("--statistics", "speed"), "unknown statistic 'speed'; known: attitude", 2),
+        (("--set", "alpha=5"), "unknown setting of method calibrated 'alpha'; known: particles, generations", 2),
+        (("--set", "prior_share=9"), "prior_share: got 9.0, allowed is 0 to 1", 2),
+        (("--set", "particles=nan"), "'particles=nan' is not NAME=VALUE with a number", 2),
+        (("--particles", "1"), "--particles: got '1', allowed is a whole number, 10 or more", 2),
+        (("--seed", "-1"), "--seed: got '-1', allowed is a whole number, 0 to 4294967295", 2),
+        (("--timestep", "0"), "--timestep: got '0', allowed is a number, more than 0", 2),
+        (("--divergence", "mmd"), "method calibrated works with the divergence js alone", 2),
+        (("--method", "simopt", "--statistics", "reward"), "looks at trajectories, not at statistics", 2),
+        (("--model", "hexapod-v0"), "is of rig hexapod", 1),
+        (("--loop", "closed"), "policy 'steps' does not exist", 1),
+        (("--rollouts", "1"), "at least 2 are needed", 1),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_no_model(bags, tmp_path, capsys, words, said) -> None:
-    assert infer(bags, tmp_path, *words) == 1
+def test_bad_input_is_one_line_and_leaves_no_model(bags, tmp_path, capsys, words, said, status) -> None:
+    assert infer(bags, tmp_path, *words) == status
     lines = capsys.readouterr().err.strip().splitlines()
     assert said in lines[-1]
     assert ModelStore(tmp_path).versions(RIG) == [f"{RIG}-v0"]

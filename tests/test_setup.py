@@ -54,6 +54,18 @@ def test_a_machine_without_a_fitting_python_is_told_so(bare_checkout):
     assert "Python 3.11, 3.12 or 3.13" in result.stderr and "TCBI_PYTHON=python9.9" in result.stderr
 
 
+def test_where_no_python_fits_the_remedy_is_a_version_that_does(bare_checkout):
+    old = bare_checkout.parent / "bin" / "python3"
+    old.parent.mkdir()
+    old.write_text("#!/bin/sh\nexit 1\n")  # as one does that does not fit
+    old.chmod(0o755)
+    result = call(bare_checkout, BASICS)
+    assert result.returncode == 1
+    packages, elsewhere = result.stderr.strip().splitlines()
+    assert "sudo apt install python3.12 python3.12-venv python3.12-dev g++" in packages
+    assert "ppa:deadsnakes/ppa" in elsewhere and "uv python install 3.12" in elsewhere and "TCBI_PYTHON=" in elsewhere
+
+
 def test_an_unknown_build_of_torch_is_refused(bare_checkout):
     (bare_checkout.parent / "bin").mkdir()
     for tool in ("g++", "cmake", "make"):  # asked for, not run, before the choice is checked

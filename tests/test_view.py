@@ -47,6 +47,25 @@ def test_a_picture_and_a_video_show_the_robot(tmp_path: Path):
     assert robot_pixels(frames[-1]) > 2_000
 
 
+@pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="no EGL on this machine (libegl1)")
+def test_a_rig_that_the_walk_does_not_fit_holds_still(tmp_path: Path):
+    mp4 = tmp_path / "bench.mp4"
+    done = view("--rig", "servo_bench", "--video", str(mp4), "--seconds", "0.4")
+    assert done.returncode == 0, done.stderr
+    assert "servo_bench holds still: gait:tripod does not fit it" in done.stderr
+    frames = frames_of(mp4, tmp_path)
+    assert len(frames) == 10 and frames[0].max() > 40
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() < 10
+
+
+@pytest.mark.parametrize("policy", ["gait:stand", "balance"])
+def test_a_policy_that_is_named_and_does_not_fit_is_refused_in_one_line(tmp_path: Path, policy: str):
+    done = view("--rig", "servo_bench", "--policy", policy, "--png", str(tmp_path / "bench.png"))
+    assert done.returncode == 1 and not (tmp_path / "bench.png").exists()
+    (error,) = (line for line in done.stderr.splitlines() if line.startswith("tcbi:"))
+    assert f"policy {policy} does not fit this robot" in error and "Traceback" not in done.stderr
+
+
 def test_a_folder_that_is_not_there_is_named_in_one_line(tmp_path: Path):
     done = view("--png", str(tmp_path / "none" / "robot.png"))
     assert done.returncode == 1

@@ -2,6 +2,7 @@
 
 parser.add_argument("--n", type=at_least(1))               # an int
 parser.add_argument("--rate", type=above(0.0))             # a float
+parser.add_argument("--port", type=between(1, 65_535))
 parser.add_argument("--diagnosis", type=existing_file)
 """
 
@@ -33,18 +34,27 @@ def above(low: float) -> Callable[[str], Any]:
     return _number(type(low), lambda value: value > low, f"more than {low:g}")
 
 
+def between(low: float, high: float) -> Callable[[str], Any]:
+    """A number from `low` to `high`, of the kind of `low`."""
+    return _number(type(low), lambda value: low <= value <= high, f"{low} to {high}")
+
+
 def _number(kind: type, fits: Callable[[Any], bool], allowed: str) -> Callable[[str], Any]:
     def parse(text: str) -> Any:
         try:
             value = kind(text)
-        except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and fits(value)):
+            good = math.isfinite(value) and fits(value)
+        except (ValueError, OverflowError):  # no number, or one too long for a float
+            good = False
+        if not good:
             whole = "a whole number, " if kind is int else "a number, "
             raise argparse.ArgumentTypeError(f"got {text!r}, allowed is {whole}{allowed}")
         return value
 
     return parse
+
+
+seed = between(0, 2**32 - 1)  # what the libraries of a training and of the methods take
 
 
 def existing_file(text: str) -> Path:

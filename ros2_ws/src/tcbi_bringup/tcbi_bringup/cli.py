@@ -169,7 +169,7 @@ def dispatch(words: list[str]) -> int:
     with store_of(args):
         if hasattr(module, "prepare"):
             module.prepare(args)
-        check_task(args)
+        check_names(args)
         if not getattr(args, "json", False):
             with workers_of(args):
                 return int(module.run(args))
@@ -179,8 +179,8 @@ def dispatch(words: list[str]) -> int:
             return int(module.run(args))
 
 
-def check_task(args: argparse.Namespace) -> None:
-    """Refuse a `--task` that there is not; those of one's own lie in the store.
+def check_names(args: argparse.Namespace) -> None:
+    """Refuse a `--task` or a `--rig` that there is not; those of one's own lie in the store.
 
     Raises:
       UnknownNameError: with the known ones.
@@ -189,6 +189,10 @@ def check_task(args: argparse.Namespace) -> None:
         from tcbi_sim.tasks import find_task
 
         find_task(args.task)
+    if getattr(args, "rig", ""):
+        from tcbi_sim.rigs import load_rig
+
+        load_rig(args.rig)
 
 
 @contextlib.contextmanager

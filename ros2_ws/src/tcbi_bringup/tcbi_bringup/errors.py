@@ -7,7 +7,7 @@ class BringupError(TcbiError):
     """The base of all errors of this package."""
 
 
-class UnknownExecutableError(BringupError):
+class UnknownExecutableError(BringupError, UsageError):
     """A package or an executable that the workspace does not have."""
 
 

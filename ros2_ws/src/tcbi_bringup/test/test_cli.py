@@ -13,6 +13,8 @@ import pytest
 
 from tcbi_bringup import cli, commands
 from tcbi_contract.errors import TcbiError
+from tcbi_infer.compare.comparison import MOST_PARTICLES
+from tcbi_infer.tcbi.driver import LEAST_PARTICLES
 from tcbi_sim.errors import UnknownNameError
 
 
@@ -124,6 +126,28 @@ def test_a_name_that_does_not_exist_is_wrong_usage(command, capsys):
         ("add backlash --diagnosis nosuch.json", "--diagnosis: got 'nosuch.json', allowed is a file"),
         ("bench nosuch", "unknown benchmark 'nosuch'"),
         ("doctor --sensor-port x", "--sensor-port: got it without --port"),
+        ("compare bag --timestep 0", "--timestep: got '0', allowed is a number, more than 0"),
+        (f"compare bag --particles {MOST_PARTICLES + 1}", f"allowed is a whole number, 0 to {MOST_PARTICLES}"),
+        (f"infer bag --particles {LEAST_PARTICLES - 1}", f"allowed is a whole number, {LEAST_PARTICLES} or more"),
+        ("infer bag --threads -1", "--threads: got '-1', allowed is a whole number, 0 or more"),
+        ("infer bag --rollouts x", "--rollouts: got 'x', allowed is a whole number, 1 or more"),
+        (f"diagnose bag --seed {'9' * 400}", "allowed is a whole number, 0 or more"),
+        ("study --threads -1", "--threads: got '-1', allowed is a whole number, 0 or more"),
+        ("study --robots a", "robots: got 'a', allowed is numbers from 0 on"),
+        ("demo --seed x", "--seed: got 'x', allowed is a whole number, 0 or more"),
+        ("import m log --window x", "--window: got 'x', allowed is a number, 0 or more"),
+        ("dashboard --port 99999", "--port: got '99999', allowed is a whole number, 1 to 65535"),
+        ("view --seconds 0.001", "--seconds: got '0.001', allowed is a number, 0.1 or more"),
+        ("train --task balance --seed 4294967296", "allowed is a whole number, 0 to 4294967295"),
+        ("train --task balance --preset fats", "unknown preset 'fats'; did you mean 'fast'?"),
+        ("train --task balance --start nosuch", "policy 'nosuch' does not exist; there are balance"),
+        ("policy gait:nosuch", "gait 'nosuch' does not exist; there are stand"),
+        ("study --preset nosuch", "unknown preset 'nosuch'; known: hour, full"),
+        ("study --methods nosuch", "unknown method of the study 'nosuch'; known: fixed_dr"),
+        ("selftest --rig nosuch", "unknown rig 'nosuch'; known: hexapod"),
+        ("import nosuch log", "unknown mapping file or built-in mapping 'nosuch'; known: double_pendulum"),
+        ("run nosuch", "no package 'nosuch' with executables"),
+        ("run tcbi_sim nosuch", "package 'tcbi_sim' has no executable 'nosuch'"),
     ],
 )
 def test_a_wrong_value_is_one_line_that_names_it_and_what_is_allowed(words, said, capsys):

@@ -60,7 +60,12 @@ def test_what_cannot_be_is_refused_in_one_line(
     assert (tmp_path / "taken").read_text() == "precious" and not (tmp_path / "s").exists()
 
 
-def test_an_unknown_effect_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("words", "said"), [(["--hidden", "gremlins"], "coulomb_friction"), (["--trial", "-1"], "got '-1', allowed is")]
+)
+def test_an_unknown_effect_or_a_wrong_number_is_wrong_usage(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as end:
-        main(["--hidden", "gremlins"])
-    assert end.value.code == 2 and "coulomb_friction" in capsys.readouterr().err
+        main(words)
+    assert end.value.code == 2 and said in capsys.readouterr().err

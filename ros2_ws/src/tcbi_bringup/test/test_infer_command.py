@@ -45,5 +45,5 @@ def test_without_the_option_there_is_no_advice_and_methods_that_do_not_judge_ref
     given = ["infer", *bags, "--method", "prior", "--store", str(tmp_path)]
     assert cli.main([*given, "--json"]) == 0
     assert "advice" not in json.loads(capsys.readouterr().out)
-    assert cli.main([*given, "--advise"]) == 1
+    assert cli.main([*given, "--advise"]) == 2
     assert "method prior does not judge what the data tell" in capsys.readouterr().err

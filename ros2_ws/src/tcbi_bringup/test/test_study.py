@@ -15,6 +15,7 @@ from tcbi_bringup.study.notebook import Notebook
 from tcbi_bringup.study.page import generations, write
 from tcbi_bringup.study.plan import CONTESTANTS, EFFECT, FIRST, PRESETS, WINNER, Plan, TaskPlan, chosen
 from tcbi_bringup.study.robots import Laboratory
+from tcbi_contract.errors import UsageError
 from tcbi_infer.baselines.prior import PriorSettings
 from tcbi_infer.tcbi.method import METHODS
 
@@ -54,7 +55,7 @@ def test_a_part_of_a_preset_can_be_chosen_and_what_is_unknown_is_named() -> None
     assert plan.robots == ((7, "strong"), (9, "strong")) and list(plan.tasks) == ["balance"]
     assert plan.contestants == ("tcbi", "abc")
     for wrong in ({"preset": "day"}, {"robots": "a"}, {"tasks": "dance"}, {"contestants": "magic"}):
-        with pytest.raises(BringupError, match=next(iter(wrong.values()))):
+        with pytest.raises(UsageError, match=next(iter(wrong.values()))):
             chosen(**{"preset": "hour", **wrong})
 
 

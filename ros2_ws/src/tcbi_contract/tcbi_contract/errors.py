@@ -9,7 +9,7 @@ class TcbiError(Exception):
 
 
 class UsageError(TcbiError):
-    """What was asked for does not exist: a wrong name on the command line, which exits with status 2."""
+    """A name that does not exist, or a value that cannot be: wrong usage, with which a command exits with status 2."""
 
 
 def describe(what: str, value: object, allowed: str, remedy: str = "") -> str:

@@ -84,7 +84,7 @@ def load_mapping(name: str | Path) -> Mapping:
     elif str(name) in known:
         text = known[str(name)]
     else:
-        raise UnknownNameError("mapping file, or built-in mapping", str(name), tuple(known))
+        raise UnknownNameError("mapping file or built-in mapping", str(name), tuple(known))
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as e:

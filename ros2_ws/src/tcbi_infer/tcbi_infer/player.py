@@ -15,6 +15,7 @@ from tcbi_infer.bags.scan import Scan
 from tcbi_infer.bags.schemas import MESSAGES, stamp_of
 from tcbi_infer.bags.streams import JUMP_S, longest_stretch, prefix, relative
 from tcbi_infer.errors import BagError
+from tcbi_sim.errors import UnknownNameError
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,12 @@ def schedule(bag: Path, topics: tuple[str, ...] = ()) -> Schedule:
       topics: relative names; empty for all.
 
     Raises:
+      UnknownNameError: there is no such topic.
       BagError: the bag cannot be read, or holds none of the topics, or those of several robots.
     """
-    unknown = sorted(set(topics) - set(MESSAGES))
-    if unknown:
-        raise BagError(f"topics: got {', '.join(unknown)}, allowed are {', '.join(MESSAGES)}")
+    for topic in topics:
+        if topic not in MESSAGES:
+            raise UnknownNameError("topic", topic, tuple(MESSAGES))
     cues: list[Cue] = []
     others: set[str] = set()
     spaces: set[str] = set()

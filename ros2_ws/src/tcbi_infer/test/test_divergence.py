@@ -6,6 +6,7 @@ from scipy.spatial.distance import jensenshannon
 
 from tcbi_infer.divergence import DIVERGENCES, LOG2, Binning, divergence, js, js_binned, js_nearest, wasserstein
 from tcbi_infer.errors import InferError
+from tcbi_sim.errors import UnknownNameError
 
 
 @pytest.fixture
@@ -69,5 +70,5 @@ def test_no_finite_sample_is_refused() -> None:
 
 
 def test_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(InferError, match="js_nearest"):
+    with pytest.raises(UnknownNameError, match="js_nearest"):
         divergence("kullback")

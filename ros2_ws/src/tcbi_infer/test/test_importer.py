@@ -14,6 +14,7 @@ from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.errors import MappingError
 from tcbi_infer.importer import logs_in, read_log
 from tcbi_infer.mapping import built_in, load_mapping
+from tcbi_sim.errors import UnknownNameError
 
 DATA = Path(os.environ.get("TCBI_DATA", Path(__file__).parents[5] / "shared" / "data"))
 real_data = [
@@ -152,8 +153,8 @@ def test_a_wrong_mapping_names_all_its_faults_in_one_line(tmp_path, text, words)
 
 
 def test_an_unknown_mapping_lists_the_built_in_ones():
-    with pytest.raises(MappingError, match="built in are double_pendulum, so101_arm, xl330_bench"):
-        load_mapping("xl331")
+    with pytest.raises(UnknownNameError, match=r"did you mean 'xl330_bench'.*double_pendulum, so101_arm, xl330_bench"):
+        load_mapping("xl331_bench")
 
 
 @pytest.mark.parametrize(

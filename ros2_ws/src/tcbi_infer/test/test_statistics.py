@@ -6,6 +6,7 @@ import pytest
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, from_measurements, library, select
 from tcbi_sim.engine import simulate
+from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import base_model
 
@@ -90,7 +91,7 @@ def test_a_missing_signal_is_named_and_the_rest_is_used() -> None:
 
 
 def test_unknown_statistic_and_nothing_left_are_refused() -> None:
-    with pytest.raises(InferError, match="unknown statistic speed"):
+    with pytest.raises(UnknownNameError, match="unknown statistic 'speed'"):
         select(("speed",), arrays())
     with pytest.raises(InferError, match="no statistic can be computed"):
         select(("attitude",), arrays(attitude=None))

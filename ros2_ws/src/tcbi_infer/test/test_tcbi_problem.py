@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,15 @@ import xarray as xr
 from tcbi_cases import BENCH_TRUTH, bench_rollouts
 
 from tcbi_infer import posterior, statistics
-from tcbi_infer.errors import InferError
+from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.statistics import Statistic
 from tcbi_infer.tcbi import checkpoint
-from tcbi_infer.tcbi.driver import Interrupted, Progress, infer
+from tcbi_infer.tcbi.driver import BOUNDS, Interrupted, Progress, infer, settings_of
 from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result
+from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.store import ModelStore
@@ -196,12 +198,29 @@ def test_without_its_policy_the_commands_are_replayed_and_that_is_said(bench) ->
 
 
 def test_unknown_names_are_refused(problem: Problem, bench) -> None:
-    with pytest.raises(InferError, match="unknown method 'abc'"):
+    with pytest.raises(UnknownNameError, match="unknown method 'abc'"):
         infer(problem, "abc")
-    with pytest.raises(InferError, match="unknown statistic"):
+    with pytest.raises(UnknownNameError, match="unknown statistic"):
         Problem.of(*bench, statistics=("speed",))
-    with pytest.raises(InferError, match="unknown divergence"):
+    with pytest.raises(UnknownNameError, match="unknown divergence"):
         Problem.of(*bench, divergence_name="kl")
+    with pytest.raises(UnknownNameError, match="unknown setting of method paper 'alhpa'; did you mean 'alpha'"):
+        infer(problem, "paper", alhpa=5.0)
+
+
+@pytest.mark.parametrize("value", [-1.0, 0.0, 2.5, math.nan, math.inf])
+@pytest.mark.parametrize("name", ["particles", "generations"])
+def test_a_budget_that_is_no_number_of_simulations_is_refused(name: str, value: float) -> None:
+    with pytest.raises(SettingError, match=f"{name}: got {value}, allowed is a whole number"):
+        settings_of(METHODS["paper"], {name: value})
+
+
+def test_settings_are_of_their_defaults_kind_and_within_their_bounds() -> None:
+    assert settings_of(METHODS["paper"], {"particles": 20.0, "alpha": 5.0})[:3] == (20, 15, 5.0)
+    assert {name for method in METHODS.values() for name in method.settings._fields} >= set(BOUNDS)
+    for method, name, value in (("calibrated", "prior_share", 1.1), ("simopt", "least_temperature", 0.0)):
+        with pytest.raises(SettingError, match=name):
+            settings_of(METHODS[method], {name: value})
 
 
 def test_every_divergence_ranks_the_truth_before_a_wrong_gain(bench) -> None:

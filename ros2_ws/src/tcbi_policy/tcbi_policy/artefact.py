@@ -204,6 +204,7 @@ def find_policy(reference: str, store_root: Path | None = None, robot: Layout = 
       PolicyDamaged, PolicyMisfit: see `load_policy`.
     """
     if reference.startswith(GAIT_PREFIX):
+        check_fit(reference, HEXAPOD, robot)
         return Gait(reference.removeprefix(GAIT_PREFIX))
     if reference.endswith(".safetensors") or "/" in reference:
         return load_policy(Path(reference).expanduser(), robot)

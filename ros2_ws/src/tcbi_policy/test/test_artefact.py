@@ -81,6 +81,11 @@ def test_a_policy_for_another_robot_is_refused_by_what_differs(
         load_policy(saved(tmp_path), robot_layout(joints, rate_hz=rate))
 
 
+def test_a_gait_is_for_the_hexapod_alone() -> None:
+    with pytest.raises(PolicyMisfit, match=r"gait:tripod does not fit this robot: .*lacks servo, which the robot has"):
+        find_policy("gait:tripod", robot=robot_layout(("servo",)))
+
+
 def test_weights_of_another_card_are_refused(tmp_path: Path) -> None:
     path = saved(tmp_path)
     save_policy(tmp_path / "other", network(seed=5), Card("other", "balance"))

@@ -18,6 +18,7 @@ from tcbi_policy.imitation import next_posture
 from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_policy.stable_baselines import OBSERVATION_SCALE
 from tcbi_policy.training import Training
+from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.model import base_model
 
 MODEL = base_model("hexapod")
@@ -180,7 +181,7 @@ def test_presets_exist_for_both_tasks_and_the_papers_settings_are_the_papers() -
     )
     assert settings == ("sac", 5_000_000, 1e-3, 256, 0.99, 0.005, (256, 256))
     assert paper.updates == paper.environments  # one update for each step
-    with pytest.raises(TrainingError, match="fast, paper"):
+    with pytest.raises(UnknownNameError, match="fast, paper"):
         preset("quick", "balance")
 
 

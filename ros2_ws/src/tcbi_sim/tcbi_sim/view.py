@@ -63,7 +63,7 @@ class Film:
         self.simulator = Simulator(model, np.asarray(values)[None], [scenario], threads=1, rate=FRAME_RATE * 2.0)
 
     def frames(self, controller, duration: float) -> Iterator[tuple[object, object]]:
-        """(MjModel, MjData) at FRAME_RATE while the controller acts at its own rate."""
+        """(MjModel, MjData) at FRAME_RATE while the controller acts at its own rate; without one it holds still."""
         control_steps = round(CONTROL_PERIOD_S * self.simulator.rate)
         act = _actor(self.simulator, controller, self.scenario.seed)
         for step in range(round(duration * self.simulator.rate)):
@@ -123,8 +123,11 @@ class Film:
 
 
 def _actor(simulator, controller, seed: int) -> Callable[[float], None]:
-    """A function that lets the controller command the simulator at a time."""
+    """A function that lets the controller, if there is one, command the simulator at a time."""
     from tcbi_sim.measurement import observation, roll_pitch_yaw
+
+    if controller is None:
+        return lambda at: None
 
     controller.reset(1, np.random.default_rng(seed))
     first = simulator.observe()

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from tcbi_bringup.arguments import between
 from tcbi_bringup.commands import console
 
 SUMMARY = "Serve the loop as a web page: live graph, comparison, diagnosis, adding effects, reports."
@@ -18,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="localhost",
         help="address to listen on (default: localhost); any other one asks for the token that is printed",
     )
-    parser.add_argument("--port", type=int, default=8080, help="default: 8080")
+    parser.add_argument("--port", type=between(1, 65_535), default=8080, help="default: 8080")
     parser.add_argument(
         "--allow-motion", action="store_true", help="with --host: let the page move the robot, not only stop it"
     )

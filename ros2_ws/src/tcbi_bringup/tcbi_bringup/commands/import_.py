@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
 
 SUMMARY = "Turn JSON or CSV logs into bags that compare, diagnose and infer take like any other."
@@ -19,7 +20,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, default=Path("imported"), metavar="FOLDER", help="default: ./imported")
     parser.add_argument(
-        "--window", type=_seconds, metavar="S", help="cut each log into rollouts of so many seconds (0: not at all)"
+        "--window",
+        type=at_least(0.0),
+        metavar="S",
+        help="cut each log into rollouts of so many seconds (0: not at all)",
     )
     console.add_json(parser)
     console.add_examples(
@@ -29,13 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi import so101_arm recordings/ --window 20      # rollouts of 20 s, each recording one kind of motion",
         "./tcbi import my_bench.toml run_*.csv.gz             # docs/bags.md describes the mapping file",
     )
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"got {text}, allowed is 0 s or more")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from tcbi_bringup.arguments import above, at_least
+from tcbi_bringup.arguments import above, at_least, seed
 from tcbi_bringup.commands import console
 from tcbi_bringup.errors import WrongCallError
 
@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(docs/baselines.md)",
     )
     console.add_model(parser, "model version whose parameters are inferred")
-    parser.add_argument("--particles", type=at_least(10), help="simulated in each generation, at least 10 (default: 50)")
+    parser.add_argument(
+        "--particles", type=at_least(10), help="simulated in each generation, at least 10 (default: 50)"
+    )
     parser.add_argument("--generations", type=at_least(1), help="at most (default: 6, paper 15)")
     parser.add_argument(
         "--set",
@@ -74,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--timestep", type=above(0.0), help="s, of the simulation (default: 0.01)")
     parser.add_argument("--threads", type=at_least(0), default=0, help="0 (default) for all processors")
-    parser.add_argument("--seed", type=at_least(0), default=0)
+    parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument(
         "--truth",
         action="append",

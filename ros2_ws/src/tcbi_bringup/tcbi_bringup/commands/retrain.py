@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from tcbi_bringup.arguments import above, at_least
+from tcbi_bringup.arguments import above, at_least, seed
 from tcbi_bringup.commands import console
 
 SUMMARY = "Train a policy's successor on a model's posterior; it is kept only if it is better with confidence."
@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--scratch", action="store_true", help="train from scratch instead of from that policy")
     console.add_model(parser, "model version whose posterior is drawn from")
-    parser.add_argument("--seed", type=at_least(0), default=0, help="of everything that is drawn (default: 0)")
+    parser.add_argument("--seed", type=seed, default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument(
         "--steps", type=at_least(1), default=0, help="control steps of all simulations together (default: the preset's)"
     )

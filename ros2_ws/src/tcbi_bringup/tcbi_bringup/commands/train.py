@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from tcbi_bringup.arguments import above, at_least
+from tcbi_bringup.arguments import above, at_least, seed
 from tcbi_bringup.commands import console
 
 SUMMARY = "Train a policy for a task in simulations drawn from a model; a run that was interrupted goes on."
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset", default="fast", help="fast (minutes, PPO) or paper (half a day, SAC as in the paper)"
     )
-    parser.add_argument("--seed", type=at_least(0), default=0, help="of everything that is drawn (default: 0)")
+    parser.add_argument("--seed", type=seed, default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument("--out", default="", help="name in the store, or path of a .safetensors file (default: TASK-N)")
     console.add_model(parser, "model version whose parameters are drawn")
     parser.add_argument("--start", default="", help="policy to go on from (default: from scratch)")

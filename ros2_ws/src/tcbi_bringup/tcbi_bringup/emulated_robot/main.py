@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hexapod_driver import calibration
+from tcbi_bringup.arguments import at_least
 from tcbi_bringup.emulated_robot.errors import EmulatedRobotError
 from tcbi_bringup.emulated_robot.experimenter import ExperimenterServer, default_socket_path
 from tcbi_bringup.emulated_robot.firmware import Electronics
@@ -44,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
         help="the hidden effect, several joined by +, or none (default: drawn from the seed); docs/emulated_robot.md",
     )
     p.add_argument("--strength", choices=STRENGTHS, default=STRENGTHS[0], help="of the hidden effect (default: strong)")
-    p.add_argument("--trial", type=int, default=0, help="draws the noise of the sensors and of the bus (default: 0)")
+    p.add_argument("--trial", type=at_least(0), default=0, help="draws the noise of sensors and bus (default: 0)")
     p.add_argument("--ports", type=int, choices=(1, 2), default=1, help="1: all over one link; 2: bus and board apart")
     p.add_argument(
         "--link-path", "--link", type=Path, help="symbolic link to the port; the second one's gets '-board' added"

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from tcbi_bringup.demo import plan as demo
-from tcbi_bringup.errors import BringupError
+from tcbi_bringup.errors import WrongCallError
 from tcbi_contract.errors import describe
+from tcbi_sim.errors import UnknownNameError
 
 Key = tuple[Any, ...]  # of a piece of work: the stage, and what it is done for
 FIRST = "first"  # the policy that everybody starts from, not retrained
@@ -123,15 +124,16 @@ def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = ""
       contestants: names with commas.
 
     Raises:
-      BringupError: an unknown preset, task or method, or a robot that is no number.
+      UnknownNameError: there is no such preset, task or method.
+      WrongCallError: a robot is no number.
     """
     if preset not in PRESETS:
-        raise BringupError(describe("preset", preset, "one of " + ", ".join(PRESETS)))
+        raise UnknownNameError("preset", preset, tuple(PRESETS))
     plan = PRESETS[preset]
     if robots:
         numbers = [text.strip() for text in robots.split(",")]
         if not all(number.isdecimal() for number in numbers):
-            raise BringupError(describe("robots", robots, "numbers from 0 on, with commas"))
+            raise WrongCallError(describe("robots", robots, "numbers from 0 on, with commas"))
         plan = dataclasses.replace(plan, robots=tuple((int(number), "strong") for number in numbers))
     if tasks:
         names = _known(tasks, "task of the study", plan.tasks)
@@ -143,7 +145,7 @@ def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = ""
 
 def _known(text: str, what: str, names: dict) -> list[str]:
     wanted = [name.strip() for name in text.split(",")]
-    unknown = [name for name in wanted if name not in names]
-    if unknown:
-        raise BringupError(describe(what, ", ".join(unknown), "one of " + ", ".join(names)))
+    for name in wanted:
+        if name not in names:
+            raise UnknownNameError(what, name, tuple(names))
     return wanted

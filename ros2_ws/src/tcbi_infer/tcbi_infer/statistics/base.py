@@ -55,13 +55,18 @@ class RolloutArrays:
         index = self.latest_command
         given = np.maximum(index, 0)
         _, s, t, _ = self.joint_position.shape
-        before = np.concatenate([self.joint_position[:, :, :1], self.command_target[:, :, :-1]], axis=2)
+        commands = self.command_target
+        commands = commands[:1] if commands.strides[0] == 0 else commands  # all were given the same
         rollout = np.arange(s)[:, None]
-        start, target = before[:, rollout, given], self.command_target[:, rollout, given]
+        start, target = commands[:, rollout, np.maximum(given - 1, 0)], commands[:, rollout, given]
         elapsed = self.time - np.take_along_axis(self.command_time, given, axis=1)
         share = np.ones((s, t)) if self.command_ramp <= 0 else np.clip(elapsed / self.command_ramp, 0, 1)
         share = np.where(index < 0, np.nan, share)
-        return start + (target - start) * share[None, :, :, None]
+        ramp = np.broadcast_to(start + (target - start) * share[None, :, :, None], self.joint_position.shape).copy()
+        for r, first in enumerate(given == 0):  # the first ramp begins where the joints were
+            begin = self.joint_position[:, r, :1]
+            ramp[:, r, first] = begin + (commands[:, r, :1] - begin) * share[r, first, None]
+        return ramp
 
     def at(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
         """(N, S, T, J) values at (S, K) times -> (N, S, K, J), linear between samples, NaN outside the grid."""

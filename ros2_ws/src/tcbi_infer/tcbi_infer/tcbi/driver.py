@@ -29,7 +29,11 @@ from tcbi_sim.engine import SimError
 from tcbi_sim.errors import UnknownNameError
 
 LEAST_PARTICLES = 10  # a generation; from fewer no spread can be told
-SHARES = {"prior_share", "least_ess", "tau", "kept", "least_accepted", "accepted"}  # settings from 0 to 1
+BOUNDS: dict[str, tuple[float, float]] = {  # of a method's settings; of others: 0 or more, of whole numbers 1 or more
+    "particles": (LEAST_PARTICLES, math.inf),
+    "least_temperature": (1e-6, math.inf),
+    **dict.fromkeys(("prior_share", "least_ess", "tau", "kept", "least_accepted", "accepted"), (0, 1)),
+}
 
 
 class Progress(NamedTuple):
@@ -105,10 +109,9 @@ def settings_of(method: Method, given: Mapping[str, Any]) -> Any:
 def _checked(name: str, value: float, default: float) -> float:
     """The value of a setting, of its default's kind: 5.0 particles are 5."""
     kind = type(default)
-    least = LEAST_PARTICLES if name == "particles" else kind is int
-    most = 1 if name in SHARES else math.inf
+    least, most = BOUNDS.get(name, (1 if kind is int else 0, math.inf))
     if not (math.isfinite(value) and least <= value <= most and kind(value) == value):
-        allowed = f"{least:d} to {most}" if name in SHARES else f"{least:d} or more"
+        allowed = f"{least} or more" if most == math.inf else f"{least} to {most}"
         raise SettingError(describe(name, value, f"a whole number, {allowed}" if kind is int else allowed))
     return kind(value)
 

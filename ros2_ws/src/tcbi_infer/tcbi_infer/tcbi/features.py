@@ -79,5 +79,6 @@ def divergences(real: np.ndarray, simulated: np.ndarray, weights: np.ndarray | N
     """
     if weights is None:
         return js_binned(real.sum(axis=0), simulated.sum(axis=1))
-    w = weights.astype(np.float32)
-    return js_binned(np.tensordot(w, real, axes=1), np.tensordot(w, simulated, axes=(0, 1)))
+    w, shape = weights.astype(np.float32), simulated.shape
+    pooled = w @ simulated.reshape(*shape[:2], -1)
+    return js_binned(np.tensordot(w, real, axes=1), pooled.reshape(shape[0], *shape[2:]))
