@@ -206,7 +206,9 @@ class RecorderNode(Node):
 
     def open(self, folder: RecordingFolder, rollout_id: str, begin: int, data: bytes, end: int | None = None) -> None:
         """Begin a bag; a failure is said and shown in diagnostics."""
-        self.poses, self.distance, self._foreign_end, self.commanded_ns = [], None, None, begin
+        self.distance, self._foreign_end, self.commanded_ns = None, None, begin
+        last = self._newest.get(self.resolve_topic_name(names.TRACKER_POSE), b"")
+        self.poses = [last] if (stamp_of(last) or 0) >= begin else []  # a simulation that waits has shown its start
         try:
             self.recorder.begin(folder, rollout_id, begin, data, end, self.values.min_free_mb)
             self.fault = ""
