@@ -19,8 +19,8 @@ SMALL = {
     "inference_node": {
         "particles": 10,
         "generations": 1,
-        "least_rollouts": 2,
-        "new_rollouts": 2,
+        "least_rollouts": 3,
+        "new_rollouts": 3,
         "holdout_every": 0,
         "posterior_moved": 0.0,
         "retrain_budget_s": 3.0,
