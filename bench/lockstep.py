@@ -16,6 +16,7 @@ import statistics
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +39,35 @@ STREAMS = (names.JOINT_STATES, names.IMU, names.FOOT_CONTACTS, names.TRACKER_POS
 DEADLINE_S = 120.0
 
 
-class Collection:
+class Outsider:
+    """A node beside the graph, which spins while it waits."""
+
+    def __init__(self, name: str) -> None:
+        rclpy.init()
+        self.node = rclpy.create_node(name)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+
+    def wait(self, done: Callable[[], bool], what: str, timeout_s: float = DEADLINE_S) -> None:
+        """Spin until `done()`."""
+        deadline = time.monotonic() + timeout_s
+        while not done():
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"{what}: not within {timeout_s:g} s")
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        """End the node."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown()
+
+
+class Collection(Outsider):
     """Asks the graph for rollouts and times them from outside."""
 
     def __init__(self) -> None:
-        rclpy.init()
-        self.node = rclpy.create_node("bench_lockstep")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
+        super().__init__("bench_lockstep")
         self.seen: list[tuple[int, float]] = []
         self.clock: list[tuple[float, float]] = []  # simulated and wall time, s
         self.node.create_subscription(ClockMessage, names.CLOCK, self._tick, messages.STREAM_QOS)
@@ -59,14 +81,6 @@ class Collection:
 
     def _take(self, event: RolloutEvent) -> None:
         self.seen.append((event.kind, time.monotonic()))
-
-    def wait(self, done: Any, what: str) -> None:
-        """Spin until `done()`."""
-        deadline = time.monotonic() + DEADLINE_S
-        while not done():
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"{what}: not within {DEADLINE_S:g} s")
-            self.executor.spin_once(timeout_sec=0.1)
 
     def collect(self, number: int, duration_s: float) -> tuple[list[float], list[float], list[Path]]:
         """Ratios (running, whole) and bags of rollouts of one seed, one goal each, so that all are alike."""
@@ -91,12 +105,6 @@ class Collection:
             (first, began), (last, ended) = self.clock[1], self.clock[-1]  # the clock's first value is the reset's
             running.append((last - first) / (ended - began))
         return running, whole, bags
-
-    def close(self) -> None:
-        """End the node."""
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown()
 
 
 def contents(bag: Path) -> dict[str, list[bytes]]:

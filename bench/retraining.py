@@ -20,9 +20,8 @@ from typing import Any
 
 import domain_coordinator
 import numpy as np
-import rclpy
+from lockstep import Outsider
 from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
@@ -36,18 +35,15 @@ from tcbi_msgs.action import Retrain
 POLICY = "balance-early"
 REST_S = 20.0  # of the rates before
 CANCEL_AFTER_S = 8.0
-DEADLINE_S = 600.0
+LONGEST_S = 600.0  # of a retraining
 STREAMS = {names.JOINT_STATES: JointState, names.IMU: Imu, names.JOINT_COMMANDS: JointTrajectory}
 
 
-class Listener:
-    """A node that hears the graph's topics and asks for retrainings."""
+class Listener(Outsider):
+    """Hears the graph's topics and asks for retrainings."""
 
     def __init__(self) -> None:
-        rclpy.init()
-        self.node = rclpy.create_node("bench_retraining")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
+        super().__init__("bench_retraining")
         self.heard: dict[str, list[float]] = {topic: [] for topic in STREAMS}
         for topic, kind in STREAMS.items():
             take = self._taker(topic)
@@ -58,18 +54,10 @@ class Listener:
     def _taker(self, topic: str) -> Callable[[bytes], None]:
         return lambda _: self.heard[topic].append(time.monotonic())
 
-    def wait(self, done: Callable[[], bool], what: str, timeout_s: float = DEADLINE_S) -> None:
-        """Spin until `done()`."""
-        deadline = time.monotonic() + timeout_s
-        while not done():
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"{what}: not within {timeout_s:g} s")
-            self.executor.spin_once(timeout_sec=0.05)
-
     def listen(self, seconds: float) -> None:
         """Spin for so long."""
         end = time.monotonic() + seconds
-        self.wait(lambda: time.monotonic() > end, "a while")
+        self.wait(lambda: time.monotonic() > end, "a while", 2 * seconds)
 
     def begin(self, budget_s: float) -> tuple[Any, Any]:
         """Ask for a retraining from the policy in use; the goal's handle and the future of its result."""
@@ -84,12 +72,6 @@ class Listener:
         for times in self.heard.values():
             times.clear()
         return found
-
-    def close(self) -> None:
-        """End the node."""
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown()
 
 
 def rate(times: np.ndarray) -> float:
@@ -108,7 +90,7 @@ def figures_of(listener: Listener, budget_s: float, cancelled: int) -> list[dict
     listener.listen(REST_S)
     before, began = listener.take(), time.monotonic()
     _, result = listener.begin(budget_s)
-    listener.wait(result.done, "the retraining")
+    listener.wait(result.done, "the retraining", LONGEST_S)
     took, during = time.monotonic() - began, listener.take()
     outcome = result.result().result
     sys.stderr.write(f"{outcome.message}\n")

@@ -49,8 +49,6 @@ def test_the_story_is_told_to_its_end_and_leaves_a_report_and_no_process(tmp_pat
     assert len(outcome.motions) == 3 and len(outcome.unseen) == 2 and len(outcome.after) == 2
     seen = {m.rollout_id for m in (*outcome.motions, *outcome.before)}
     assert not seen & {m.rollout_id for m in outcome.unseen}
-    assert told["verdict"] in (NOTHING_MISSING, CANNOT_TELL, OUTSIDE_LIBRARY, EFFECT)
-    assert outcome.right(()) == (told["verdict"] == NOTHING_MISSING and not told["effects"])
     text = report.read_text()
     assert f"Verdict: {outcome.diagnoses[0].headline}." in text
     assert all(version in text for version in ("hexapod-v0", "hexapod-v1", "hexapod-v2")) and len(text) > 100_000

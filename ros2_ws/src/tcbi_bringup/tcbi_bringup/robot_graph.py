@@ -11,7 +11,8 @@ from tcbi_bringup.emulated_robot.hidden_names import STRENGTHS
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_policy.artefact import find_policy
-from tcbi_sim.store import ModelStore
+from tcbi_sim.errors import UnknownNameError
+from tcbi_sim.store import LATEST, ModelStore
 from tcbi_sim.tasks import find_task
 
 SIM, EMULATED = "sim", "emulated"
@@ -64,13 +65,13 @@ class GraphOptions:
         return self.recordings or self.store / "rollouts" / self.namespace
 
     def check(self) -> None:
-        """Refuse what does not go together, and a task or a policy that no node could load.
+        """Refuse what does not go together, and a task, a model or a policy that no node could load.
 
         Raises:
           LaunchError: in one line.
           CalibrationError: the file cannot be read, or says what cannot be.
           PolicyError: the policy does not exist, is damaged, or is another robot's.
-          UnknownNameError: there is no such task.
+          UnknownNameError: there is no such task or model version.
         """
         if self.lockstep and self.robot != SIM:
             raise LaunchError(
@@ -96,6 +97,9 @@ class GraphOptions:
             load_calibration(self.calibration)
         if self.task:
             find_task(self.task)
+        known = ModelStore(self.store).versions("hexapod")
+        if self.model not in (LATEST, *known):
+            raise UnknownNameError("model version", self.model, known)
         if self.policy:
             find_policy(self.policy, self.store)
 

@@ -161,3 +161,9 @@ def test_a_policy_whose_card_is_none_says_which_entry_is_missing(tmp_path):
 def test_an_emulated_robot_that_ends_at_once_is_told_before_anybody_waits_for_its_port(tmp_path):
     with Graph(log_dir=tmp_path) as graph, pytest.raises(LaunchError, match="emulated_robot ended with"):
         start_graph(graph, options(robot="emulated", hidden="nonsense"), tmp_path)
+
+
+def test_a_model_that_there_is_not_is_refused_before_anything_starts(tmp_path):
+    GraphOptions(store=tmp_path, model="hexapod-v0").check()
+    with pytest.raises(UnknownNameError, match="unknown model version 'hexapod-v99'.*known: hexapod-v0"):
+        GraphOptions(store=tmp_path, model="hexapod-v99").check()

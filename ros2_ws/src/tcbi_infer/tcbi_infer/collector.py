@@ -107,7 +107,7 @@ class Collector:
         request = request_of(goal.request)
         check(request)
         folder = self._folder(request)
-        before = self.node.policy_id
+        before, policy_id = self.node.policy_id, ""
         try:
             policy_id = await self._policy(request)
             for index in range(request.number):
@@ -116,8 +116,8 @@ class Collector:
         finally:
             if folder is not self.node.folder:
                 folder.close()
-            if request.policy and request.policy != NO_POLICY and before:
-                await self._give_back(before)
+            if before and policy_id not in ("", before) and self.node.policy_id == policy_id:
+                await self._give_back(before)  # unless a training has put a better one in its place meanwhile
 
     def _folder(self, request: Request) -> RecordingFolder:
         own = self.node.folder
@@ -305,6 +305,7 @@ class Collector:
         loaded = await self._call(
             self._load, LoadPolicy.Request(policy=request.policy), names.LOAD_POLICY, "policy_node"
         )
+        await Until(lambda: bool(self.node.policy_id == loaded.policy_id), STATUS_S)
         return str(loaded.policy_id)
 
     async def _give_back(self, policy_id: str) -> None:
