@@ -93,10 +93,19 @@ def test_up_is_refused_beside_nodes_that_another_launcher_started(call, start_gr
 
 
 def test_up_without_its_robot_says_why_and_ends_with_1(call, tmp_path):
-    up = call("up", "--model", "hexapod-v99", "--store", str(tmp_path / "store"), "--log-dir", str(tmp_path / "log"))
+    damaged = tmp_path / "store" / "models" / "hexapod-v1" / "model.json"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_text("{")
+    up = call("up", "--store", str(tmp_path / "store"), "--log-dir", str(tmp_path / "log"))
     assert up.process.wait(DEADLINE_S) == 1
     last = up.text().strip().splitlines()[-1]
-    assert last.startswith("tcbi: sim_node failed 2 times in a row") and "hexapod-v99" in last
+    assert last.startswith("tcbi: sim_node failed 2 times in a row") and "hexapod-v1" in last
+
+
+def test_up_with_a_model_that_is_not_there_is_refused_at_once(call, tmp_path):
+    up = call("up", "--model", "hexapod-v99", "--store", str(tmp_path / "store"))
+    assert up.process.wait(DEADLINE_S) == 2
+    assert len(up.text().strip().splitlines()) == 1 and "hexapod-v99" in up.text()
 
 
 def test_run_hands_the_process_over_to_the_node(call):
