@@ -165,5 +165,5 @@ def test_an_emulated_robot_that_ends_at_once_is_told_before_anybody_waits_for_it
 
 def test_a_model_that_there_is_not_is_refused_before_anything_starts(tmp_path):
     GraphOptions(store=tmp_path, model="hexapod-v0").check()
-    with pytest.raises(UnknownNameError, match="unknown model version 'hexapod-v99'.*known: hexapod-v0"):
+    with pytest.raises(UnknownNameError, match=r"unknown model version 'hexapod-v99'.*known: hexapod-v0"):
         GraphOptions(store=tmp_path, model="hexapod-v99").check()
