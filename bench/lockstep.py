@@ -84,7 +84,7 @@ class Collection(Outsider):
 
     def collect(self, number: int, duration_s: float) -> tuple[list[float], list[float], list[Path]]:
         """Ratios (running, whole) and bags of rollouts of one seed, one goal each, so that all are alike."""
-        self.wait(self.client.server_is_ready, "the recorder")
+        self.wait(lambda: self.client.server_is_ready() and bool(self.clock), "the recorder and the clock")
         running, whole, bags = [], [], []
         for _ in range(number):
             apart = time.monotonic() + 1.1  # bags are named by the second
