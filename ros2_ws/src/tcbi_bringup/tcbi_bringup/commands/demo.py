@@ -12,6 +12,7 @@ from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
     from tcbi_bringup.demo.story import Outcome
+    from tcbi_infer.report import Section
 
 SUMMARY = "The whole story on an emulated robot: record, compare, diagnose, add, infer, retrain, measure again."
 NICENESS = 5
@@ -53,18 +54,25 @@ def run(args: argparse.Namespace) -> int:
 
         lab.wait(graph.check)
         beside.submit(_load_the_rest)
-        outcome = Story(robot, QUICK if args.quick else FULL, folder, lab).tell()
+        drawn: list[Section] = []
+        outcome = Story(robot, QUICK if args.quick else FULL, folder, lab).tell(lambda out: drawn.extend(_draw(out)))
         beside.submit(graph.stop)  # seconds, too
         from tcbi_bringup.demo import page
         from tcbi_bringup.emulated_robot.physics import Specimen
 
         truth = Specimen.of(args.seed, args.hidden or None, args.strength).truth()
-        report = page.write(outcome, truth, folder / "report.html")
+        report = page.write(outcome, drawn, truth, folder / "report.html")
     if args.json:
         console.emit(as_json(outcome, truth, report))
     else:
         _print(outcome, truth, report)
     return 0
+
+
+def _draw(outcome: "Outcome") -> "list[Section]":
+    from tcbi_bringup.demo.page import findings
+
+    return findings(outcome)
 
 
 def _load_the_rest() -> None:

@@ -19,10 +19,9 @@ LEAD = (
 )
 
 
-def write(outcome: Outcome, truth: dict[str, object], path: Path) -> Path:
-    """Write the report; returns its path."""
-    report = Report(f"Robot {outcome.robot.seed}: from measurement to model", LEAD)
-    _in_short(report, outcome, truth)
+def findings(outcome: Outcome) -> list[Section]:
+    """Errors, diagnoses and comparison: what is known, and takes seconds to draw, while the robot still moves."""
+    report = Report("")
     add_ladder(
         report,
         [(label(m), outcome.errors[m.version].error_over_floor) for m in outcome.models],
@@ -33,6 +32,15 @@ def write(outcome: Outcome, truth: dict[str, object], path: Path) -> Path:
     last = outcome.errors[outcome.models[-1].version]
     first = outcome.errors[outcome.models[0].version]
     add_comparison(report, first, last)
+    return report.sections
+
+
+def write(outcome: Outcome, drawn: list[Section], truth: dict[str, object], path: Path) -> Path:
+    """Write the report around its findings; returns its path."""
+    report = Report(f"Robot {outcome.robot.seed}: from measurement to model", LEAD)
+    _in_short(report, outcome, truth)
+    for section in drawn:
+        report.add(section)
     _parameters(report, outcome, truth)
     _policy(report, outcome)
     rows = [

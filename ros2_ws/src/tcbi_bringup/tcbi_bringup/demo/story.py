@@ -90,8 +90,8 @@ class Story:
         self.out = Outcome(robot, plan, ModelStore(folder / "store"))
         self.say, self.step = self.out.narration.say, self.out.narration.step
 
-    def tell(self) -> Outcome:
-        """All steps in order."""
+    def tell(self, draw: Callable[[Outcome], None] = _silent) -> Outcome:
+        """All steps in order; `draw` is called once all findings are there, while the robot still moves."""
         with self.step("record"):
             self.record()
         robot = self._run_meanwhile(self.run_task)
@@ -112,7 +112,7 @@ class Story:
         with self.step("retrain"):
             self.retrain(model)
         with self.step("measure"):
-            self.measure()
+            self.measure(draw)
         return self.out
 
     # -- steps ----------------------------------------------------------------------------------------------------
@@ -197,7 +197,7 @@ class Story:
             )
         self.say(result.message)
 
-    def measure(self) -> None:
+    def measure(self, draw: Callable[[Outcome], None]) -> None:
         """The task again, on new rollouts; every model version on the motions that no fit has seen."""
         out = self.out
         with console.progress("deploying", total=self.plan.deployments, unit="rollouts") as advance:
@@ -205,6 +205,7 @@ class Story:
             floor = out.comparison.floor if out.comparison else None  # from all motions, not these few
             for model in out.models:
                 out.errors[model.version] = compare(model, out.unseen, particles=PARTICLES, floor=floor)
+            draw(out)
             robot.result()
         change = f"return {mean_return(out.before):.0f} -> {mean_return(out.after):.0f}"
         self.say(f"{change}, final inclination {tilt(out.before):.1f} -> {tilt(out.after):.1f} deg on the robot")
