@@ -1,0 +1,62 @@
+"""bench/inference_peers.py: when a peer's error is as small as TCBI's, and stays so."""
+
+import importlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "bench"
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[ModuleType]:
+    sys.path.insert(0, str(FOLDER))
+    try:
+        yield importlib.import_module("inference_peers")
+    finally:
+        sys.path.remove(str(FOLDER))
+        for name in [n for n in sys.modules if n.split(".")[0] in ("inference_peers", "calibration", "peers")]:
+            del sys.modules[name]
+
+
+def beliefs(*pairs: tuple[float, float]) -> list[dict]:
+    return [{"wall_s": t, "simulations": 50, "error": [e, -e], "sd": [0.1, 0.1]} for t, e in pairs]
+
+
+def truth(number: int, **found: list[dict]) -> dict:
+    return {"truth": number, "parameters": ["a", "b"], "beliefs": found}
+
+
+def test_a_peer_has_arrived_when_its_error_stays_small(bench):
+    found = [truth(0, tcbi=beliefs((2.0, 0.1)), pyabc=beliefs((4.0, 0.05), (8.0, 0.3), (12.0, 0.1), (16.0, 0.02)))]
+    assert bench.as_long(found, "pyabc") == (6.0, 6.0, 6.0)
+
+
+def test_the_error_is_that_of_all_truths_together(bench):
+    slow = truth(0, tcbi=beliefs((1.0, 0.1)), sbi=beliefs((3.0, 0.5), (7.0, 0.1)))
+    fast = truth(1, tcbi=beliefs((2.0, 0.1)), sbi=beliefs((2.0, 0.1)))
+    middle, low, high = bench.as_long([slow, fast], "sbi")
+    assert middle == 7.0
+    assert low == 1.0 and high == 7.0, "of resampled truths some hold the fast one alone"
+
+
+def test_a_peer_that_never_arrives_has_no_time(bench, capsys):
+    found = [truth(0, tcbi=beliefs((1.0, 0.1)), pyabc=beliefs((2.0, 0.3)), sbi=[])]
+    assert np.isinf(bench.as_long(found, "pyabc")[0])
+    rows = {row["name"]: row["value"] for row in bench.figures(found, ["pyabc", "sbi"])}
+    assert rows["pyabc: time to TCBI's error, to TCBI's time"] is None
+    assert not any(name.startswith("sbi") for name in rows)
+    said = capsys.readouterr().err
+    assert "pyabc: its error was never as small" in said and "sbi: no round was finished on 1 of 1" in said
+
+
+def test_a_line_that_was_cut_off_is_run_again(bench, tmp_path, capsys):
+    file = tmp_path / "kept.jsonl"
+    file.write_text(json.dumps(truth(3)) + '\n{"truth": 4, "par')
+    assert [r["truth"] for r in bench.kept(file)] == [3]
+    assert "left out" in capsys.readouterr().err
