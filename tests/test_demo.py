@@ -34,12 +34,13 @@ KEYS = {"hidden", "verdict", "effects", "steps", "models", "return_before", "ret
 @pytest.mark.slow
 def test_the_story_is_told_to_its_end_and_leaves_a_report_and_no_process(tmp_path, capsys):
     robot = Robot(seed=3, hidden="none")
+    drawn = []
     with running(robot, tmp_path, tmp_path / "store") as (lab, graph):
         lab.wait(graph.check)
-        outcome = Story(robot, SHORT, tmp_path, lab).tell()
+        outcome = Story(robot, SHORT, tmp_path, lab).tell(lambda out: drawn.extend(page.findings(out)))
     assert {(status.state, status.exit_code) for status in graph.status()} == {("ended", 0)}
     truth = Specimen.of(robot.seed, robot.hidden, robot.strength).truth()
-    report = page.write(outcome, truth, tmp_path / "report.html")
+    report = page.write(outcome, drawn, truth, tmp_path / "report.html")
     console.emit(as_json(outcome, truth, report))
     told = json.loads(capsys.readouterr().out)
     assert set(told) >= KEYS and told["hidden"] == "none"

@@ -36,7 +36,9 @@ FEEDBACK_S = 0.5  # wall time
 COMMAND_SILENCE_S = 1.0  # ROS time, five control periods
 HANDS_S = 2.0  # to discover whether somebody places the robot
 ASKED = 2  # times: the middleware drops the answer to a client that the service's end has not discovered yet
-RESETS, PAUSE_S = 4, 1.5  # a real robot may be connecting still, or have missed a reply: tried so often, so far apart
+# a real robot may be connecting still, or have missed a reply: tried so often, so far apart, but at first at once where
+# hands can free a leg
+RESETS, PAUSE_S = 4, 1.5
 
 
 class CancelledError(TcbiError):
@@ -263,13 +265,15 @@ class Collector:
             model=model,
             duration=scenario.duration,
         )
-        for _ in range(RESETS - 1):
+        for tried in range(RESETS - 1):
             response = await self._answer(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
             if response.success or response.source == "sim":
                 return await self._placed(_succeeded(response, names.RESET_EPISODE), request)
             self.node.get_logger().warning(f"the robot is not ready ({response.message}); it is tried again")
-            await Until(lambda: False, PAUSE_S)
-            if self._place.service_is_ready():  # hands that lift the robot free its legs
+            hands = self._place.service_is_ready()
+            if tried or not hands:
+                await Until(lambda: False, PAUSE_S)
+            if hands:  # that lift the robot free its legs
                 await self._placed(response, request)
         response = await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
         return await self._placed(response, request)
