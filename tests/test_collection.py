@@ -24,11 +24,12 @@ pytestmark = pytest.mark.graph
 class Robot:
     """A robot without a tracker that cannot tilt its ground, and somebody who can."""
 
-    def __init__(self, peer) -> None:
+    def __init__(self, peer, hands: bool = True) -> None:
         self.peer, self.resets, self.placed = peer, 0, []
         self.joints = peer.node.create_publisher(JointState, names.JOINT_STATES, messages.STREAM_QOS)
         peer.node.create_service(ResetEpisode, names.RESET_EPISODE, self.reset)
-        peer.node.create_service(ResetEpisode, names.PLACE_ROBOT, self.place)
+        if hands:
+            peer.node.create_service(ResetEpisode, names.PLACE_ROBOT, self.place)
         peer.node.create_timer(0.02, self.measure)
 
     def now(self):
@@ -63,6 +64,16 @@ def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_grap
     m = read_measurement(result.bags[0])
     assert (m.distance, m.source, m.policy_id, m.scenario.slope_roll) == (0.42, "driver", "", 0.25)
     assert m.scenario.duration == 1.0 and 0.9 < m.time[-1] <= 1.0
+
+
+def test_ground_that_nobody_sets_is_not_recorded_as_it_was_drawn(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False))
+    Robot(peer, hands=False)
+    goal = {"task": "forward", "number": 1, "policy": "none", "duration_s": 0.4, "slope_pitch": [0.1]}
+    status, result = Collection(peer, **goal).result()
+    assert status == GoalStatus.STATUS_SUCCEEDED and "count as level, and there are no blocks" in result.message
+    scenario = read_measurement(result.bags[0]).scenario
+    assert (scenario.slope_roll, scenario.slope_pitch, scenario.blocks) == (0.0, 0.1, ())
 
 
 def test_each_distance_that_is_asked_for_goes_to_its_own_rollout(start_graph, peer, tmp_path):

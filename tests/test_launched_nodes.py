@@ -114,7 +114,7 @@ def test_a_node_that_crashes_shows_its_traceback_and_is_told_from_one_set_up_wro
 class Crashing(NodeProcess):
     """The node above."""
 
-    def command(self) -> list[str]:
+    def command(self, after_crash: bool = False) -> list[str]:
         return [sys.executable, "-c", CRASHING, *self.arguments]
 
 

@@ -83,16 +83,23 @@ def with_pyabc(problem: Problem, seed: int, budget_s: float) -> list[Belief]:
 
 def with_sbi(problem: Problem, seed: int, budget_s: float) -> list[Belief]:
     """After each round of sequential neural posterior estimation."""
+    with tempfile.TemporaryDirectory() as folder:
+        return _rounds(problem, seed, budget_s, folder)
+
+
+def _rounds(problem: Problem, seed: int, budget_s: float, folder: str) -> list[Belief]:
     import torch
     from sbi.inference import NPE, simulate_for_sbi
     from sbi.utils import BoxUniform
+    from torch.utils.tensorboard import SummaryWriter
 
     warnings.filterwarnings("ignore", module="sbi")
     torch.manual_seed(seed)
     problem = dataclasses.replace(problem, threads=1)
     width = len(problem.model.names)
     prior = BoxUniform(torch.zeros(width), torch.ones(width))
-    estimator = NPE(prior=prior, density_estimator="maf", show_progress_bars=False)
+    writer = SummaryWriter(folder)  # sbi's own would lie in the folder that it is called from
+    estimator = NPE(prior=prior, density_estimator="maf", show_progress_bars=False, summary_writer=writer)
     real = torch.as_tensor(observe(problem).summary, dtype=torch.float32)
     proposal: Any = prior
     beliefs: list[Belief] = []
@@ -107,6 +114,7 @@ def with_sbi(problem: Problem, seed: int, budget_s: float) -> list[Belief]:
             draws = proposal.sample((1000,), show_progress_bars=False).numpy()
         done += ROUND
         beliefs.append(_belief(began, done, draws, np.full(len(draws), 1 / len(draws))))
+    writer.close()
     return beliefs
 
 

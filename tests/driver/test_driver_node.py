@@ -1,5 +1,6 @@
 """The driver node as a process, in front of the emulated electronics: topics, services, exit codes."""
 
+import dataclasses
 import os
 import signal
 
@@ -13,6 +14,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from tcbi_bringup.launcher import NodeProcess
+from tcbi_bringup.robot_graph import AFTER_CRASH
 from tcbi_contract import names
 from tcbi_contract.messages import STREAM_QOS, joint_command, seconds
 from tcbi_msgs.msg import Block, FootContacts
@@ -205,3 +207,23 @@ def test_a_driver_killed_at_once_leaves_a_limp_robot(make_bench, start_graph, pe
     os.kill(status.pid, signal.SIGKILL)
     assert graph.wait_for_exit("driver_node", DEADLINE_S) == -signal.SIGKILL
     until(lambda: not bench.body.torque.any(), "limp by the board's watchdog")
+
+
+def test_a_driver_started_again_after_a_crash_obeys_no_command_before_a_reset(make_bench, start_graph, peer):
+    bench = make_bench()
+    graph = start_graph(dataclasses.replace(_node(bench), after_crash=AFTER_CRASH), restart=True)
+    commands = peer.publisher(names.JOINT_COMMANDS, JointTrajectory, STREAM_QOS)
+    assert peer.call(names.EMERGENCY_STOP, Trigger.Request(), Trigger).success
+    os.kill(graph.status()[0].pid, signal.SIGKILL)
+    peer.wait_until(lambda: graph.status()[0].restarts == 1, "the driver's second start")
+    diagnostics = peer.collect(names.DIAGNOSTICS, DiagnosticArray, STREAM_QOS)
+
+    def refused() -> bool:
+        commands.publish(joint_command(_now(peer), ZERO))
+        said = {v.key: v.value for m in diagnostics[-1:] for s in m.status for v in s.values}
+        return said.get("needs_reset") == "true" and "reset_episode" in said.get("last_refusal", "")
+
+    peer.wait_until(refused, "a refusal")
+    assert not bench.body.armings
+    peer.reset()
+    assert bench.body.torque.all()

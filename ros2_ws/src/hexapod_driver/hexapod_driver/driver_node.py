@@ -51,6 +51,7 @@ class DriverParameters:
     command_timeout_s: float = parameter(0.4, "torque goes off after this long without a command, s", 0.25, 0.4)
     hold_after_reset_s: float = parameter(10.0, "how long a reset's posture waits for the first command, s", 0.4, 60.0)
     posture_tolerance: float = parameter(0.35, "how far a joint may rest from a reset's posture, rad", 0.01, 1.0)
+    needs_reset: bool = parameter(False, "refuse commands until reset_episode; so does the launcher after a crash")
 
     def link_settings(self) -> LinkSettings:
         """The part that concerns the link; raises CalibrationError."""
@@ -86,6 +87,8 @@ class DriverNode(Node):
         self._refused, self._last_refusal = 0, ""
         self._make_publishers()
         self.link = Link(self.parameters.link_settings(), self._take, self._now, self.get_logger().warning)
+        if self.parameters.needs_reset:
+            self.link.safety.go_limp("the driver crashed and was started again", needs_reset=True)
         self._make_inputs()
         self.link.connect()
         self.link.start()

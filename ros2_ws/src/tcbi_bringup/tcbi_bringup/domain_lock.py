@@ -43,7 +43,8 @@ def hold_domain(domain_id: int, namespace: str = "") -> Iterator[None]:
     name = (
         f"tcbi-{os.getuid()}-domain-{domain_id}{'-' + namespace.strip('/').replace('/', '-') if namespace else ''}.lock"
     )
-    path = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / name
+    own = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
+    path = (own if os.access(own, os.W_OK) else Path(tempfile.gettempdir())) / name
     with path.open("a+", encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

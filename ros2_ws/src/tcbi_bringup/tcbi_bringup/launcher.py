@@ -60,6 +60,7 @@ class NodeProcess:
       ros: False for a program that takes no `--ros-args`.
       rename: give the node `name` instead of its own name.
       essential: the graph is pointless without it.
+      after_crash: parameters of a start that follows a crash, beside the others.
     """
 
     package: str
@@ -73,18 +74,19 @@ class NodeProcess:
     ros: bool = True
     rename: bool = False
     essential: bool = False
+    after_crash: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def key(self) -> str:
         """Its name in the graph."""
         return self.name or self.executable
 
-    def command(self) -> list[str]:
+    def command(self, after_crash: bool = False) -> list[str]:
         """The command line, with its path."""
         words = [str(find_executable(self.package, self.executable)), *self.arguments]
-        return words + self.ros_arguments() if self.ros else words
+        return words + self.ros_arguments(after_crash) if self.ros else words
 
-    def ros_arguments(self) -> list[str]:
+    def ros_arguments(self, after_crash: bool = False) -> list[str]:
         """The part from `--ros-args` on."""
         words = ["--ros-args"]
         if self.rename:
@@ -93,7 +95,7 @@ class NodeProcess:
             words += ["-r", f"__ns:=/{self.namespace.strip('/')}"]
         for source, target in self.remappings.items():
             words += ["-r", f"{source}:={target}"]
-        for name, value in self.parameters.items():
+        for name, value in {**self.parameters, **(self.after_crash if after_crash else {})}.items():
             words += ["-p", f"{name}:={json.dumps(value if not isinstance(value, Path) else str(value))}"]
         return words if len(words) > 1 else []
 
@@ -124,19 +126,20 @@ class _Supervised:
 
     def __init__(self, what: NodeProcess, log: Path) -> None:
         self.what, self.log = what, log
-        self.command = what.command()
+        self.commands = what.command(), what.command(after_crash=True)  # of the first start, of all others
         self.process: subprocess.Popen | None = None
         self.failures = 0
         self.retry_at = 0.0
         self.status = ProcessStatus(what.key, "waiting", essential=what.essential)
 
     def start(self, environment: Mapping[str, str]) -> None:
+        command = self.commands[bool(self.status.started)]
         with self.log.open("a", encoding="utf-8") as log:
-            line = shlex.join(self.command).replace("\n", " ")
+            line = shlex.join(command).replace("\n", " ")
             log.write(f"{LOG_MARK}{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
             log.flush()
             self.process = subprocess.Popen(
-                tied_to(os.getpid(), self.command),
+                tied_to(os.getpid(), command),
                 env={**environment, **self.what.environment},
                 stdin=subprocess.DEVNULL,
                 stdout=log,

@@ -16,6 +16,7 @@ from tcbi_sim.store import LATEST, ModelStore
 from tcbi_sim.tasks import find_task
 
 SIM, EMULATED = "sim", "emulated"
+AFTER_CRASH = {"needs_reset": True}  # of the driver: an emergency stop must not end with its process
 PORT_S = 20.0  # time an emulated robot has to open its port
 
 
@@ -128,6 +129,7 @@ def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
       folder: short path of a folder for an emulated robot's port and socket.
     """
     node = partial(NodeProcess, namespace=options.namespace, essential=True)
+    driver = partial(node, "hexapod_driver", "driver_node", after_crash=AFTER_CRASH)
     if options.robot == SIM:
         mode = "lockstep" if options.lockstep else "realtime"
         parameters = {"mode": mode, "model": options.model, "seed": options.seed, "task": options.task}
@@ -137,14 +139,14 @@ def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
         link = {"port": options.robot, "sensor_port": options.sensor_port, "calibration": calibration}
         rates = {"baud_rate": options.baud_rate, "sensor_baud_rate": options.sensor_baud_rate}
         given = {name: rate for name, rate in rates.items() if rate}
-        return [node("hexapod_driver", "driver_node", parameters={**link, **given})]
+        return [driver(parameters={**link, **given})]
     port, socket = emulated_port(folder), folder / "socket"
     place = ("--link", str(port), "--socket", str(socket))
     hidden = ("--hidden", options.hidden) if options.hidden else ()
     arguments = (*place, "--seed", str(options.seed), "--strength", options.strength, *hidden)
     return [
         NodeProcess("tcbi_bringup", "emulated_robot", arguments=arguments, ros=False, essential=True),
-        node("hexapod_driver", "driver_node", parameters={"port": str(port)}),
+        driver(parameters={"port": str(port)}),
         node("tcbi_bringup", "experimenter_node", parameters={"socket": str(socket)}, essential=False),
     ]
 

@@ -31,8 +31,8 @@ DEAF = STUBBORN.replace("print(", "signal.signal(signal.SIGTERM, signal.SIG_IGN)
 class Program(NodeProcess):
     """A Python program given as text."""
 
-    def command(self) -> list[str]:
-        return [sys.executable, "-c", self.executable]
+    def command(self, after_crash: bool = False) -> list[str]:
+        return [sys.executable, "-c", self.executable, *(["after a crash"] if after_crash else [])]
 
 
 def program(name: str, code: str, **more) -> Program:
@@ -98,6 +98,8 @@ def test_a_crashed_process_starts_again(tmp_path):
         graph.send_signal("one", signal.SIGKILL)
         wait_for(lambda: status(graph, "one").pid not in (None, first), "restart")
         assert status(graph, "one").restarts == 1
+        starts = [line for line in graph.log("one").splitlines() if line.startswith(launcher.LOG_MARK)]
+        assert [line.endswith("'after a crash'") for line in starts] == [False, True]
 
 
 def test_without_restart_a_failure_is_reported_with_its_last_words(tmp_path):

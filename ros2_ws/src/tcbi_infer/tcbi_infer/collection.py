@@ -76,6 +76,16 @@ def scenario_of(request: Request, index: int) -> Scenario:
     return dataclasses.replace(scenario, **changes)  # type: ignore[arg-type]
 
 
+def as_it_is(request: Request, scenario: Scenario) -> Scenario:
+    """The scenario on ground that nobody has set: what was drawn is not there, a slope that was given is."""
+    return dataclasses.replace(
+        scenario,
+        slope_roll=scenario.slope_roll if request.slope_roll else 0.0,
+        slope_pitch=scenario.slope_pitch if request.slope_pitch else 0.0,
+        blocks=(),
+    )
+
+
 def rollout_id(request: Request, index: int, now: float | None = None) -> str:
     """A name that sorts by time (UTC, to the millisecond): `balance-20261121-004512-391-s1-003`."""
     second, fraction = divmod(time.time() if now is None else now, 1.0)

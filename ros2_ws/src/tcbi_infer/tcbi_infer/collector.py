@@ -17,7 +17,7 @@ from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
 from tcbi_contract.wording import counted
 from tcbi_infer.bags.folder import RecordingFolder
-from tcbi_infer.collection import Request, check, next_tick, rollout_id, scenario_of
+from tcbi_infer.collection import Request, as_it_is, check, next_tick, rollout_id, scenario_of
 from tcbi_infer.collection_messages import begin_event, blocks_of, distance_between, request_of
 from tcbi_infer.errors import RecordingError
 from tcbi_msgs.action import CollectRollouts
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from tcbi_infer.recorder_node import RecorderNode
 
 NO_POLICY = "none"
+GROUND_AS_IT_IS = "slopes that were not given count as level, and there are no blocks"
 CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more means that they are different clocks
 LEAD_NS = 300_000_000  # from the publication of BEGIN to its stamp, where time runs by itself
 STATUS_S = 3.0  # wall time for the policy node to say what is loaded
@@ -67,6 +68,7 @@ class Collector:
         self.busy = False
         self._rollout_id = ""
         self._hands_s = HANDS_S
+        self._ground_as_it_is = False  # in the present collection
         self._reset = node.create_client(ResetEpisode, names.RESET_EPISODE)
         self._place = node.create_client(ResetEpisode, names.PLACE_ROBOT)
         self._load = node.create_client(LoadPolicy, names.LOAD_POLICY)
@@ -91,7 +93,8 @@ class Collector:
         bags: list[Path] = []
         try:
             await self._collect(goal, bags)
-            result.success, result.message = True, f"{counted(len(bags), 'rollout')} recorded"
+            as_found = f"; nobody offers {names.PLACE_ROBOT}: {GROUND_AS_IT_IS}" if self._ground_as_it_is else ""
+            result.success, result.message = True, f"{counted(len(bags), 'rollout')} recorded{as_found}"
             goal.succeed()
         except CancelledError as error:
             result.message = str(error)
@@ -108,12 +111,13 @@ class Collector:
     async def _collect(self, goal: Any, bags: list[Path]) -> None:
         request = request_of(goal.request)
         check(request)
+        self._ground_as_it_is = False
         folder = self._folder(request)
         before, policy_id = self.node.policy_id, ""
         try:
             policy_id = await self._policy(request)
             for index in range(request.number):
-                bag = await self._rollout(goal, request, index, folder, policy_id)
+                bag = await self._rollout(goal, request, index, folder)
                 bags.append(bag)
         finally:
             if folder is not self.node.folder:
@@ -132,12 +136,14 @@ class Collector:
 
     # -- one rollout ----------------------------------------------------------------------------------------------
 
-    async def _rollout(self, goal: Any, request: Request, index: int, folder: RecordingFolder, policy_id: str) -> Path:
+    async def _rollout(self, goal: Any, request: Request, index: int, folder: RecordingFolder) -> Path:
         scenario = scenario_of(request, index)
         self._refuse_if_cancelled(goal)
-        reset = await self._reset_episode(scenario, request.model)
+        reset, placed = await self._reset_episode(scenario, request.model)
+        if not placed:
+            self._ground_as_it_is, scenario = True, as_it_is(request, scenario)
         begin = self._begin(reset.stamp)
-        event = begin_event(rollout_id(request, index), scenario, policy_id, reset.source, begin)
+        event = begin_event(rollout_id(request, index), scenario, self._acting(request), reset.source, begin)
         self._rollout_id = event.rollout_id
         end = begin + round(scenario.duration * 1e9)
         self.node.open(folder, event.rollout_id, begin, serialize_message(event), end)
@@ -145,7 +151,7 @@ class Collector:
         self.node.events.publish(event)
         try:
             await self._act(goal, request, index, end)
-            return await self._end(event, end, request.distance_timeout_s)
+            return await self._end(event, end, request)
         except TcbiError as error:
             await self._abort(event, str(error), request)
             raise
@@ -179,14 +185,18 @@ class Collector:
             await self._set_policy(False)
         self._tell(goal, index, request.number, 0.0)
 
-    async def _end(self, event: RolloutEvent, end: int, distance_timeout_s: float) -> Path:
+    def _acting(self, request: Request) -> str:
+        """The policy in use: a training may have put another in its place since the collection began."""
+        return "" if request.policy == NO_POLICY else self.node.policy_id
+
+    async def _end(self, event: RolloutEvent, end: int, request: Request) -> Path:
         node = self.node
         node.recorder.end(end, time.monotonic())
         await Until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
         self._require_recording()
-        event.kind, event.note = RolloutEvent.END, ""
+        event.kind, event.note, event.policy_id = RolloutEvent.END, "", self._acting(request)
         event.header.stamp = messages.to_stamp(end)
-        event.distance = await self._distance(distance_timeout_s or node.values.distance_timeout_s)
+        event.distance = await self._distance(request.distance_timeout_s or node.values.distance_timeout_s)
         bag = node.close(event, end)
         node.events.publish(event)
         if bag is None:
@@ -253,7 +263,8 @@ class Collector:
             client.remove_pending_request(future)  # the answer to the last request counts, for it is carried out last
         raise RecordingError(f"{what} was not answered within {timeout_s:g} s; look at the log of {who}")
 
-    async def _reset_episode(self, scenario: Scenario, model: str) -> Any:
+    async def _reset_episode(self, scenario: Scenario, model: str) -> tuple[Any, bool]:
+        """The answer to a reset, and whether ground and heading are the scenario's now."""
         request = ResetEpisode.Request(
             task=scenario.task,
             slope_roll=scenario.slope_roll,
@@ -278,16 +289,14 @@ class Collector:
         response = await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
         return await self._placed(response, request)
 
-    async def _placed(self, reset: Any, request: Any) -> Any:
+    async def _placed(self, reset: Any, request: Any) -> tuple[Any, bool]:
         """Have the ground set where the robot cannot do it itself; the answer's stamp is the rollout's zero then."""
         if reset.source == "sim":
-            return reset
+            return reset, True
         if not await Until(self._place.service_is_ready, self._hands_s):
             self._hands_s = 0.0  # nobody is there; do not wait again
-            self.node.get_logger().warning(
-                f"nobody offers {names.PLACE_ROBOT}: {reset.message or 'the ground is taken as it is'}"
-            )
-            return reset
+            self.node.get_logger().warning(f"nobody offers {names.PLACE_ROBOT}: {GROUND_AS_IT_IS}")
+            return reset, False
         future = self._place.call_async(request)
         if not await Until(future.done, self.node.values.place_timeout_s):
             raise RecordingError(f"{names.PLACE_ROBOT} was not answered within {self.node.values.place_timeout_s:g} s")
@@ -296,7 +305,7 @@ class Collector:
             reset.stamp = placed.stamp
         else:
             reset.stamp = self.node.get_clock().now().to_msg()
-        return reset
+        return reset, True
 
     async def _policy(self, request: Request) -> str:
         """Load the wanted policy, off for now; returns the name of the one that will act."""
@@ -310,7 +319,8 @@ class Collector:
             self._load, LoadPolicy.Request(policy=request.policy), names.LOAD_POLICY, "policy_node"
         )
         await Until(lambda: bool(self.node.policy_id == loaded.policy_id), STATUS_S)
-        return str(loaded.policy_id)
+        self.node.policy_id = str(loaded.policy_id)  # its status may have been lost
+        return self.node.policy_id
 
     async def _give_back(self, policy_id: str) -> None:
         """Load what was in use before, so that a training still starts from it; not being able to is no fault."""

@@ -11,6 +11,10 @@ class BagError(InferError):
     """A bag cannot be read, written or repaired."""
 
 
+class EmptyRolloutError(BagError):
+    """A rollout ended, or its recording did, before the robot was measured."""
+
+
 class RecordingError(InferError):
     """A rollout cannot be recorded: the folder is taken, the disk is full, a node is missing."""
 

@@ -5,6 +5,7 @@ what the job tells, and at last `done` or `failed`.
 """
 
 import json
+import os
 import queue
 import signal
 import subprocess
@@ -18,6 +19,7 @@ import numpy as np
 from tcbi_contract.errors import TcbiError
 
 STOP_TIMEOUT_S = 5.0
+NICENESS = 10  # of a worker: a robot may move in real time beside it
 INFERENCE = "tcbi_infer.inference_worker"
 Emit = Callable[..., None]  # an event's name, and what it tells
 
@@ -40,6 +42,7 @@ class Worker:
             stdout=subprocess.PIPE,
             text=True,
         )
+        os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
         assert self._process.stdin is not None
         self._process.stdin.write(job.to_json() + "\n")
         self._process.stdin.close()

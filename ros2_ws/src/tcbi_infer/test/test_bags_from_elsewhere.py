@@ -12,7 +12,7 @@ from tcbi_contract.names import FOOT_CONTACTS, IMU, JOINT_COMMANDS, JOINT_STATES
 from tcbi_infer.bags import encoding, schemas
 from tcbi_infer.bags.encoding import messages
 from tcbi_infer.bags.measurement_writer import write_measurement
-from tcbi_infer.bags.reader import read_bag, read_measurement
+from tcbi_infer.bags.reader import read_bag, read_measurement, read_measurements
 from tcbi_infer.bags.writer import BagWriter
 from tcbi_infer.errors import BagError
 
@@ -285,3 +285,28 @@ def test_a_note_that_is_plain_text_is_kept_out_of_the_numbers(tmp_path):
 
 def store_message(data: bytes):
     return schemas.typestore().deserialize_cdr(data, schemas.MESSAGES[ROLLOUT_EVENT])
+
+
+def test_a_rollout_that_ended_before_anything_was_measured_is_left_out_beside_others(tmp_path):
+    empty = written(tmp_path, rows(keep=lambda row: row[0] == ROLLOUT_EVENT), "empty")
+    good = written(tmp_path, rows(), "good")
+    told: list[str] = []
+    assert [m.rollout_id for m in read_measurements([tmp_path], left_out=told.append)] == [rollout().rollout_id]
+    assert len(told) == 1 and str(empty) in told[0]
+    for paths, listener in (([empty], told.append), ([empty, good], None)):
+        with pytest.raises(BagError, match="no joint_states"):
+            read_measurements(paths, left_out=listener)
+
+
+def test_a_policy_that_was_changed_meanwhile_is_named_as_both(tmp_path):
+    found = []
+    for topic, time, data in rows():
+        if topic == ROLLOUT_EVENT:
+            event = schemas.typestore().deserialize_cdr(data, schemas.MESSAGES[ROLLOUT_EVENT])
+            if event.kind == encoding.END:
+                event.policy_id = "balance-1@2"
+            data = schemas.encode(event, schemas.MESSAGES[ROLLOUT_EVENT])
+        found.append((topic, time, data))
+    back = read_measurement(written(tmp_path, found))
+    assert back.policy_id == f"{rollout().policy_id} then balance-1@2"
+    only_note(back, "the policy was changed meanwhile")

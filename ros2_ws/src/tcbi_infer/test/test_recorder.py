@@ -12,7 +12,7 @@ from bag_cases import differences, rollout
 from test_bags_from_elsewhere import START
 
 from tcbi_contract import names
-from tcbi_infer.bags import schemas
+from tcbi_infer.bags import schemas, writer
 from tcbi_infer.bags.encoding import joint_command, messages
 from tcbi_infer.bags.files import find_bags, is_recording, left_out
 from tcbi_infer.bags.folder import RecordingFolder
@@ -180,6 +180,22 @@ except RecordingError as error:
     scan = Scan(file)
     assert sum(1 for _ in scan.messages()) > 500
     assert scan.damage == ["the recording was never closed"] and scan.lost_bytes == 0
+
+
+def test_a_disk_that_is_full_at_the_very_end_frees_the_recorder(folder, recorder, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    feed = Feed()
+    recorder.begin(folder, "walk_1", feed.begin, feed.first, feed.end)
+    feed.into(recorder)
+    monkeypatch.setattr(writer, "write_metadata", full)
+    with pytest.raises(RecordingError, match=r"metadata cannot be written .*make room .*\./tcbi recover"):
+        recorder.close(feed.last, feed.end)
+    monkeypatch.undo()
+    assert recorder.rollout is None
+    assert len(read_measurement(folder.path / "walk_1").time) == len(feed.case.time)
+    Feed(rollout("walk_2")).record(recorder, folder)
 
 
 def test_too_little_room_is_said_before_a_rollout_is_wasted(folder):

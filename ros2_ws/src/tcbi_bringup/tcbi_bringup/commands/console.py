@@ -109,7 +109,7 @@ def read_bags(args: argparse.Namespace) -> "list[Measurement]":
 
     for path, why in left_out(args.bags).items():
         note(f"note: {path} is left out: {why}; give it alone to read it")
-    return read_measurements(args.bags, namespace=args.namespace)
+    return read_measurements(args.bags, None, args.namespace, lambda why: note(f"note: left out: {why}"))
 
 
 def note_findings(measurements: "Sequence[Measurement]") -> None:

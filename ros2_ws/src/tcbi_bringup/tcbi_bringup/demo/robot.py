@@ -1,6 +1,7 @@
 """The demo's robot: an emulated one behind a serial port, driven and recorded by the same nodes as a real one."""
 
 import contextlib
+import os
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from tcbi_bringup.demo.lab_node import LabNode, laboratory
 from tcbi_bringup.domain_lock import hold_domain
 from tcbi_bringup.errors import DemoError, SecondGraphError
 from tcbi_bringup.launcher import Graph, NodeProcess
+from tcbi_bringup.robot_graph import AFTER_CRASH
 
 FIRST_POLICY = "balance-early"  # a short training, as a first attempt is
 DOMAINS = range(60, 100)  # beyond 101 the ports of a domain may be taken by the system
@@ -49,7 +51,11 @@ def processes(robot: Robot, folder: Path, store: Path, lab: Path) -> list[NodePr
     return [
         NodeProcess("tcbi_bringup", "emulated_robot", arguments=emulated, ros=False, essential=True),
         NodeProcess(
-            "hexapod_driver", "driver_node", parameters={"port": str(port), "approach_speed": 2.0}, essential=True
+            "hexapod_driver",
+            "driver_node",
+            parameters={"port": str(port), "approach_speed": 2.0},
+            after_crash=AFTER_CRASH,
+            essential=True,
         ),
         NodeProcess(
             "tcbi_bringup", "experimenter_node", parameters={"socket": str(socket), "seed": robot.seed, "settle_s": 0.5}
@@ -76,7 +82,8 @@ def running(robot: Robot, folder: Path, store: Path) -> Iterator[tuple[LabNode, 
 
 @contextlib.contextmanager
 def _free_domain() -> Iterator[int]:
-    for domain_id in DOMAINS:
+    first = os.getuid() % len(DOMAINS)  # locks are a user's own, and users of one machine share its domains
+    for domain_id in (*DOMAINS[first:], *DOMAINS[:first]):
         with contextlib.ExitStack() as stack:
             try:
                 stack.enter_context(hold_domain(domain_id))

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from tcbi_contract.names import FOOT_CONTACTS, IMU, JOINT_STATES, JOINTS, LEGS, TRACKER_POSE
+from tcbi_contract.names import FOOT_CONTACTS, IMU, JOINT_STATES, JOINTS, LEGS, ROLLOUT_EVENT, TRACKER_POSE
 from tcbi_contract.wording import counted
 from tcbi_infer.bags.commands import read_commands
 from tcbi_infer.bags.files import find_bags
 from tcbi_infer.bags.readings import read_readings
 from tcbi_infer.bags.rollouts import Span, lacking, spans
 from tcbi_infer.bags.streams import Recording, Stream, load, stream
-from tcbi_infer.errors import BagError
+from tcbi_infer.errors import BagError, EmptyRolloutError
 from tcbi_infer.gaps import GAP_PERIODS, GAP_S, sample_gaps
 from tcbi_sim.measurement import Measurement, continuous
 
@@ -47,20 +47,33 @@ def read_measurement(bag: Path | str, rig: str | None = None, namespace: str | N
 
 
 def read_measurements(
-    paths: Iterable[Path | str], rig: str | None = None, namespace: str | None = None
+    paths: Iterable[Path | str],
+    rig: str | None = None,
+    namespace: str | None = None,
+    left_out: Callable[[str], None] | None = None,
 ) -> list[Measurement]:
     """All rollouts of bags and of folders of bags, in the order given.
 
     Args:
       rig: the rig that the caller can use; None for any.
+      left_out: told of each bag whose rollout ended before anything was measured, which is left out beside others; None
+        refuses it.
 
     Raises:
-      BagError: one of them cannot be read; two rollouts bear one id.
+      BagError: one of them cannot be read; two rollouts bear one id; nothing was measured in any.
     """
     found: list[Measurement] = []
     seen: dict[str, Path] = {}
+    empty: list[EmptyRolloutError] = []
     for bag in find_bags(Path(p) for p in paths):
-        for measurement in read_bag(bag, rig, namespace):
+        try:
+            measurements = read_bag(bag, rig, namespace)
+        except EmptyRolloutError as e:
+            if left_out is None:
+                raise
+            empty.append(e)
+            continue
+        for measurement in measurements:
             if measurement.rollout_id in seen:
                 raise BagError(
                     f"{bag}: its rollout {measurement.rollout_id!r} is also in {seen[measurement.rollout_id]}; "
@@ -68,6 +81,11 @@ def read_measurements(
                 )
             seen[measurement.rollout_id] = bag
             found.append(measurement)
+    if empty and not found:
+        raise empty[0]
+    for nothing in empty:
+        assert left_out is not None
+        left_out(str(nothing))
     return found
 
 
@@ -82,7 +100,9 @@ def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Me
     rig, joint_names = _rig(recording, span, wanted_rig)
     joints = _within(_joints(recording, joint_names, notes), span)
     if joints is None or len(joints) < 2:
-        raise BagError(f"{recording.path}: rollout {span.rollout_id!r} holds no joint_states after its BEGIN event")
+        raise EmptyRolloutError(
+            f"{recording.path}: rollout {span.rollout_id!r} holds no joint_states after its BEGIN event"
+        )
     _say_gaps(JOINT_STATES, joints, span, notes)
     gaps: list[tuple[str, float, float]] = []
     read = partial(_signal, recording, joints=joints, span=span, notes=notes, gaps=gaps)
@@ -119,7 +139,8 @@ def _rig(recording: Recording, span: Span, wanted: str | None) -> tuple[str, tup
     """The rig's name and its joints in order."""
     records = recording.records.get(JOINT_STATES)
     if not records:
-        raise BagError(f"{recording.path}: {lacking(recording)}")
+        kind = EmptyRolloutError if recording.records.get(ROLLOUT_EVENT) else BagError
+        raise kind(f"{recording.path}: {lacking(recording)}")
     every = dict.fromkeys(tuple(record.message.name) for record in records)
     seen = next((names for names in every if set(JOINTS) <= set(names)), next(iter(every)))
     is_hexapod = set(JOINTS) <= set(seen)

@@ -80,7 +80,10 @@ def spans(recording: Recording) -> list[Span]:
 
 def _span(begin: Record, end: Record | None) -> Span:
     message = begin.message
-    notes = []
+    notes, policy_id = [], message.policy_id
+    if end is not None and end.message.policy_id not in ("", policy_id):
+        policy_id = f"{policy_id} then {end.message.policy_id}"
+        notes.append(f"the policy was changed meanwhile ({policy_id}): the commands can be replayed, the policy cannot")
     if end is None:
         notes.append("no END event: the rollout is used as far as it was recorded")
     elif end.message.kind == ABORT:
@@ -91,7 +94,7 @@ def _span(begin: Record, end: Record | None) -> Span:
         begin=begin.stamp,
         end=None if end is None else end.stamp,
         task=message.task or UNKNOWN_TASK,
-        policy_id=message.policy_id,
+        policy_id=policy_id,
         source=message.source,
         slope_roll=message.slope_roll,
         slope_pitch=message.slope_pitch,

@@ -196,19 +196,30 @@ class BagWriter:
         self._mcap.flush()
 
     def close(self) -> Path:
-        """Finish the file, write metadata.yaml, take the final name; returns it."""
+        """Finish the file, write metadata.yaml, take the final name; returns it.
+
+        Raises:
+          RecordingError: the disk refuses it; what is on it is whole but for the metadata.
+        """
         metadata = self._metadata()
         text = yaml.safe_dump(metadata["rosbag2_bagfile_information"], sort_keys=False)
         self._mcap.flush()
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
         self._mcap.finish()
-        self._file.close()
-        return self._settle(metadata)
+        try:
+            self._file.close()
+            return self._settle(metadata)
+        except OSError as e:
+            raise RecordingError(
+                f"{self.path}: recorded, but its metadata cannot be written ({e.strerror}); make room on the disk, "
+                f"then ./tcbi recover {self.path}"
+            ) from e
 
     def give_up(self) -> Path:
         """After a failed write: keep the complete chunks under the final name, without an index; returns it."""
         self._file.close(to_disk=False)
-        self.working_path.rename(self.path)
+        if self.working_path.exists():
+            self.working_path.rename(self.path)
         return self.path
 
     def discard(self) -> None:
