@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tcbi_bringup.errors import BringupError
+from tcbi_bringup.study import experiment as pieces_of_work
 from tcbi_bringup.study import tables
 from tcbi_bringup.study.experiment import Experiment
 from tcbi_bringup.study.notebook import Notebook
@@ -17,6 +18,7 @@ from tcbi_bringup.study.plan import CONTESTANTS, EFFECT, FIRST, PRESETS, WINNER,
 from tcbi_bringup.study.robots import Laboratory
 from tcbi_contract.errors import UsageError
 from tcbi_infer.baselines.prior import PriorSettings
+from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.method import METHODS
 
 TINY = Plan(
@@ -34,6 +36,24 @@ def test_a_study_goes_on_where_it_was_and_does_nothing_twice(tmp_path: Path) -> 
     again.once(("train", "balance", 2), lambda: {"x": 2})
     again.once(("train", "balance", 1), lambda: pytest.fail("done twice"))
     assert [json.loads(line)["key"][-1] for line in (tmp_path / "study.jsonl").read_text().splitlines()] == [1, 2]
+
+
+def test_a_method_whose_library_is_not_there_is_tried_again_and_one_that_fails_is_not(tmp_path, monkeypatch) -> None:
+    def failing(*_: object, **__: object) -> None:
+        raise InferError("every simulation diverged")
+
+    plan = dataclasses.replace(TINY, contestants=("bayesopt", WINNER))
+    work = Experiment(plan, tmp_path, Laboratory(1), threads=1)
+    work.do(("collect", "balance", 11))
+    monkeypatch.setattr(pieces_of_work, "find_method", failing)
+    assert "not_yet" in work.do(("infer", "balance", 11, "bayesopt"))
+    assert "not_yet" in work.do(("train", "balance", 11, "bayesopt"))
+    monkeypatch.undo()
+    monkeypatch.setattr(pieces_of_work, "infer", failing)
+    assert work.do(("infer", "balance", 11, WINNER))["left_out"] == "every simulation diverged"
+    kept = Notebook(tmp_path / "study.jsonl")
+    assert ("infer", "balance", 11, WINNER) in kept and ("collect", "balance", 11) in kept
+    assert not {("infer", "balance", 11, "bayesopt"), ("train", "balance", 11, "bayesopt")} & set(kept._found)
 
 
 def test_every_contestant_infers_by_a_method_that_there_is_and_needs_only_earlier_pieces() -> None:
@@ -122,7 +142,7 @@ def inferred(folder: Path, robots: int) -> tables.Findings:
         ]  # fmt: skip
         notebook.once(("collect", "balance", robot), lambda t=truth: {"truth": dict(zip(TRUTH, t, strict=True))})
         for name, history in (("fixed_dr", runs[:1]), (WINNER, runs)):
-            found = {"seconds": 6.0 + robot, "generations": history, "estimates": ends}
+            found = {"seconds": 6.0 + robot, "generations": history, "estimates": ends, "ess": 20.0}
             notebook.once(("infer", "balance", robot, name), functools.partial(dict, found))
     return tables.Findings(plan, notebook)
 
@@ -206,6 +226,10 @@ def test_the_whole_experiment_runs_once_and_ends_in_tables_and_figures(tmp_path:
         for piece in TINY.pieces():
             experiment.do(piece)
         findings = tables.Findings(TINY, Notebook(tmp_path / "study.jsonl"))
+    trained = findings.notebook.get("train", "balance", 11, WINNER)
+    assert (tmp_path / trained["policy"]).with_suffix(".json").is_file(), "relative, so that the folder can be moved"
+    assert trained["unchanged"] == any("no moment of the training" in line for line in findings.left_out())
+    assert findings.hidden(11) != "not looked at yet"
     found = tables.everything(findings)["tasks"]["balance"]
     assert [row["name"] for row in found["performance"]] == [FIRST, "fixed_dr", WINNER]
     assert all(row["rollouts"] == 2 and np.isfinite(row["return"]) for row in found["performance"])

@@ -3,13 +3,16 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from tcbi_sim.fields import SensingFields
 from tcbi_sim.measurement import Measurement, quaternion_from_rpy
 from tcbi_sim.rig import Noise
+
+if TYPE_CHECKING:
+    from tcbi_sim.engine import SimulatedRollouts
 
 
 @dataclass
@@ -108,7 +111,7 @@ def delay(samples: Samples, latency: np.ndarray, times: np.ndarray) -> Samples:
     return delayed
 
 
-Sensed = TypeVar("Sensed", Samples, Measurement)
+Sensed = TypeVar("Sensed", Samples, Measurement, "SimulatedRollouts")
 
 
 def add_noise(samples: Sensed, noise: Noise, rng: np.random.Generator) -> Sensed:

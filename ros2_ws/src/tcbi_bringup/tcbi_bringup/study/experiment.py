@@ -29,9 +29,9 @@ from tcbi_infer.collection import Request, scenario_of
 from tcbi_infer.diagnose.adopt import adopt
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT as EFFECT_FOUND
-from tcbi_infer.divergence import Binning, js_binned
+from tcbi_infer.divergence import js_nearest
 from tcbi_infer.errors import InferError
-from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.driver import Interrupted, infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_policy.artefact import Policy, find_policy, replace_file, save_policy
@@ -43,10 +43,12 @@ from tcbi_policy.training import Training
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Measurement, Scenario
 from tcbi_sim.model import Model, base_model
+from tcbi_sim.sensing import add_noise
 from tcbi_sim.store import ModelStore
 
 COLLECTING, DEPLOYING, MOTIONS = 1, 2, 3  # seeds of the scenarios
 DRAWS = 4  # simulations of each deployed scenario, for the divergence
+EVALUATE_EVERY = 3  # sets of episodes: a short training has few of them, and the best moment is kept
 
 
 class Experiment:
@@ -94,7 +96,10 @@ class Experiment:
             orders.append(Order(robot, self.strength[robot], scenario_of(request, 0), f"gait:{gait}", 2 * i + trial))
         rollouts = self.laboratory.run(orders)
         model = base_model("hexapod")
-        found = diagnose(model, rollouts, uses=plan.effects, settings=plan.settings)
+        try:
+            found = diagnose(model, rollouts, uses=plan.effects, settings=plan.settings)
+        except InferError as e:
+            return {"verdict": "", "effects": [], "statement": f"no diagnosis: {e}", "model": ""}
         facts: Result = {
             "verdict": found.verdict,
             "effects": list(found.uses),
@@ -113,14 +118,19 @@ class Experiment:
         try:
             method = find_method(contestant.method)
         except InferError as e:
-            return {"left_out": str(e)}
+            return {"left_out": str(e), "not_yet": True}
         rollouts = read_measurements([self._rollouts_of(task, robot)])
         problem = Problem.of(
             model, rollouts, statistics=contestant.statistics or method.statistics, policies=self.store.root,
             threads=self.threads, seed=robot,
         )  # fmt: skip
         runs = self.store.folder("runs")
-        result = infer(problem, method.name, seed=robot, folder=runs, **plan.budget(method.name))
+        try:
+            result = infer(problem, method.name, seed=robot, folder=runs, **plan.budget(method.name))
+        except Interrupted:
+            raise
+        except InferError as e:
+            return {"left_out": str(e)}
         saved = posterior.save(self.store, result)
         return {
             "model": saved.version, "seconds": result.seconds, "simulations": result.simulations, "ess": result.ess,
@@ -136,7 +146,11 @@ class Experiment:
         start = find_policy(plan.first_policy, self.store.root)
         assert isinstance(start, Policy)
         config = dataclasses.replace(
-            fine_tuning(preset("fast", task)), steps=plan.steps, seed=robot, threads=self.threads
+            fine_tuning(preset("fast", task)),
+            steps=plan.steps,
+            seed=robot,
+            threads=self.threads,
+            evaluate_every=EVALUATE_EVERY,
         )
         folder = self.store.folder("runs") / f"study-{task}-{robot}-{name}"
         folder.mkdir(exist_ok=True)
@@ -145,7 +159,9 @@ class Experiment:
         stem = self.store.root / "policies" / f"{task}-{robot}-{name}"
         policy = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name))
         shutil.rmtree(folder)
-        return {"policy": str(policy.path), "curve": training.state.curve}
+        same = [np.array_equal(a, b) for a, b in zip(policy.mlp.weights, start.mlp.weights, strict=True)]
+        where = str(stem.with_suffix(".safetensors").relative_to(self.folder))
+        return {"policy": where, "unchanged": all(same), "curve": training.state.curve}
 
     def _deploy(self, task: str, robot: int, name: str) -> Result:
         plan = self.plan.tasks[task]
@@ -199,7 +215,7 @@ class Experiment:
     def _inferred(self, task: str, robot: int, name: str) -> Result:
         found = self.notebook.get("infer", task, robot, name)
         assert found is not None
-        return found if "model" in found else {k: found[k] for k in ("same_as", "left_out") if k in found}
+        return found if "model" in found else {k: found[k] for k in ("same_as", "left_out", "not_yet") if k in found}
 
     def _policy(self, task: str, robot: int, name: str) -> tuple[str | None, Model]:
         """Where the policy of a contestant lies, None if there is none, and the model that it was trained on."""
@@ -210,7 +226,7 @@ class Experiment:
             return None, base_model("hexapod")
         trained = self.notebook.get("train", task, robot, name)
         assert trained is not None
-        return trained["policy"], self.store.load(found["model"])
+        return str(self.folder / trained["policy"]), self.store.load(found["model"])
 
     def _rollouts_of(self, task: str, robot: int) -> Path:
         return self.folder / "rollouts" / f"{task}-{robot}"
@@ -244,18 +260,23 @@ def _same_sizes(plan: Plan, path: Path) -> None:
 
 
 def divergences(rollouts: list[Measurement], policy: Policy, model: Model, seed: int, threads: int = 0) -> list[float]:
-    """Jensen-Shannon divergence (nats) of each rollout's rewards from those that the model gives in its scenario."""
-    parameters = model.sample(np.random.default_rng([seed, 86028121]), DRAWS)
+    """Jensen-Shannon divergence (nats) of each rollout's rewards from those that the model gives in its scenario.
+
+    By nearest neighbours: bins would follow the rewards of the policy that ran, and each contestant has its own.
+    """
+    rng = np.random.default_rng([seed, 86028121])
     out = simulate(
-        model, parameters, [m.scenario for m in rollouts], controller=policy, timestep=TIMESTEP_S, threads=threads
+        model,
+        model.sample(rng, DRAWS),
+        [m.scenario for m in rollouts],
+        controller=policy,
+        timestep=TIMESTEP_S,
+        threads=threads,
     )
-    simulated = simulated_rewards(out)  # (draws, rollouts, steps)
-    found = []
-    for i, m in enumerate(rollouts):
-        real, other = episode_reward(m).steps, simulated[:, i].ravel()
-        bins = Binning.of(real)
-        found.append(float(js_binned(bins.counts(real[None]), bins.counts(other[None]))[0]))
-    return found
+    simulated = simulated_rewards(add_noise(out, out.rig.noise, rng))  # (draws, rollouts, steps)
+    return [
+        float(js_nearest(episode_reward(m).steps, simulated[:, i].reshape(1, -1))[0]) for i, m in enumerate(rollouts)
+    ]
 
 
 def _attitude(m: Measurement) -> np.ndarray:

@@ -45,9 +45,11 @@ class Notebook:
             began, cpu = time.monotonic(), time.process_time()
             result = plain(work())
             result |= {"wall_s": round(time.monotonic() - began, 2), "cpu_s": round(time.process_time() - cpu, 2)}
+            self._found[key] = result
+            if "not_yet" in result:  # until something is installed: the next call tries again
+                return result
             with self._path.open("a") as file:
                 file.write(json.dumps({"key": list(key), "result": result}) + "\n")
                 file.flush()
                 os.fsync(file.fileno())
-            self._found[key] = result
         return self._found[key]

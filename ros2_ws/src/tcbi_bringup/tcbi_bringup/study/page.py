@@ -19,12 +19,15 @@ SHOWN = {"inclination_deg": 2, "distance_cm": 1, "divergence_nats": 3}  # digits
 LEAD = (
     "Each emulated robot has its own friction, mass, servo stiffness and a hidden effect, and its own physics. A first "
     "policy collected rollouts; every method inferred the parameters from the same rollouts with the same number of "
-    "simulations (fixed randomisation takes the prior as it stands); the policy was retrained on each posterior with "
-    "the same budget and deployed on the robot in the same scenarios. All that came out is shown, whoever wins."
+    "simulations at most (fixed randomisation takes the prior as it stands, and a method may converge early); the "
+    "policy was retrained once on each posterior with the same budget and deployed on the robot in the same scenarios. "
+    "All that came out is shown, whoever wins."
 )
 WELCH = (
     "Welch's t-test over all rollouts, as the paper has it. Rollouts on one robot resemble one another, so with few "
-    "robots its p values are too small."
+    "robots its p values are too small. Each policy is one training: what another seed of the training would have "
+    "changed is in no interval and no p value. A positive difference of the divergence says that TCBI's model is the one "
+    "further from the robot."
 )
 BAND = "Mean over robots, with its 95 % interval as a band; with fewer than three, a thin line for each robot."
 NONE_OF_FEW = "Intervals are 95 %, from resampling robots: with fewer than three robots there is none."
@@ -63,9 +66,10 @@ def _short(findings: Findings, data: dict[str, Any]) -> list[str]:
         effect = found["effect"]
         if effect:
             lines.append(
-                f"{task}: with the missing effect in the model the return is {effect['with']:.0f} against "
+                f"{task}: with the diagnosed effect in the model the return is {effect['with']:.0f} against "
                 f"{effect['without']:.0f} without, a gain of {effect['gain']:.0f} ({effect['low95']:.0f} to "
-                f"{effect['high95']:.0f}) on {effect['robots']} robots."
+                f"{effect['high95']:.0f}) on {effect['robots']} robots; on {effect['right']} of them the effect is the "
+                "one that is hidden."
             )
     few = len(findings.robots) < ENOUGH_ROBOTS
     lines.append(
@@ -107,7 +111,7 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
         "95 %",
         "p",
         "p (Holm)",
-        "gain in divergence",
+        "difference of divergence",
         "p",
         "p (Holm)",
     ]
@@ -132,12 +136,13 @@ def _inference(report: Report, findings: Findings, task: str, found: dict[str, A
         "error of the mean",
         "95 %",
         "truth inside 90 %",
+        "effective particles",
     ]
     rows = [
         [r["label"], r["parameter"],
          f"{r['variance_reduction']:.0%}", _range(r, "variance_reduction", ".0%"),
          f"{r['relative_error']:.0%}", _range(r, "relative_error", ".0%"),
-         f"{r['truth_in_90']} of {r['robots']}"]
+         f"{r['truth_in_90']} of {r['robots']}", f"{r['ess']:.0f}"]
         for r in found["variance_reduction"]
     ]  # fmt: skip
     shown = []

@@ -50,6 +50,11 @@ class Findings:
         """The robot's own parameters."""
         return (self.notebook.get("collect", task, robot) or {})["truth"]
 
+    def hidden(self, robot: int) -> str:
+        """What is hidden in a robot, as far as it is known yet."""
+        known = (self.notebook.get("collect", task, robot) for task in self.plan.tasks)
+        return next((str(found["truth"]["hidden"]) for found in known if found), "not looked at yet")
+
     def names(self, task: str) -> list[str]:
         """Contestants that have deployed at least once, the first policy before all."""
         return [n for n in (FIRST, *self.plan.contestants) if self.values(task, n, "returns")]
@@ -60,10 +65,14 @@ class Findings:
         for robot in self.robots:
             diagnosed = self.notebook.get("diagnose", robot)
             if diagnosed:
-                lines[f"robot {robot}: {diagnosed['statement']}"] = None
+                lines[f"robot {robot} (hidden in it: {self.hidden(robot)}): {diagnosed['statement']}"] = None
             for task in self.plan.tasks:
                 for name in self.plan.contestants:
                     found = self.notebook.get("infer", task, robot, name) or {}
+                    about = f"robot {robot}, {task}, {LABELS[name]}"
+                    lines |= {f"{about}: {warning}": None for warning in found.get("warnings", ())}
+                    if (self.notebook.get("train", task, robot, name) or {}).get("unchanged"):
+                        lines[f"{about}: no moment of the training was better than the first policy, which runs"] = None
                     if "left_out" in found:
                         lines[f"{LABELS[name]} left out: {found['left_out']}"] = None
                     if "same_as" in found:
@@ -154,7 +163,10 @@ def _holm(rows: Rows, key: str) -> None:
 
 
 def effect_gain(findings: Findings, task: str) -> dict[str, Any] | None:
-    """Beyond the paper: the return with the missing effect in the model against without, where one was found."""
+    """Beyond the paper: the return with the diagnosed effect in the model against without, where one was named.
+
+    `right` counts the robots whose effect it is.
+    """
     with_effect, without = findings.values(task, EFFECT, "returns"), findings.values(task, WINNER, "returns")
     found = [r for r in findings.robots if (findings.notebook.get("diagnose", r) or {}).get("model")]
     both = [r for r in found if r in with_effect and r in without]
@@ -168,11 +180,17 @@ def effect_gain(findings: Findings, task: str) -> dict[str, Any] | None:
     }
     return {
         "robots": len(both),
+        "right": sum(_is_hidden(findings, robot) for robot in both),
         **means,
         "gain": float(np.mean([p.mean() for p in parts])),
         "low95": low,
         "high95": high,
     }
+
+
+def _is_hidden(findings: Findings, robot: int) -> bool:
+    named = (findings.notebook.get("diagnose", robot) or {})["effects"][0]
+    return bool(named.partition(":")[0] == findings.hidden(robot))
 
 
 def variance_reduction(findings: Findings, task: str) -> Rows:
@@ -183,6 +201,7 @@ def variance_reduction(findings: Findings, task: str) -> Rows:
         usable = {robot: r for robot, r in found.items() if r is not None}
         for parameter in PARAMETERS if usable else ():
             reductions, errors, inside = [], [], []
+            effective = [r["ess"] for r in usable.values()]
             for robot, r in usable.items():
                 e = next(e for e in r["estimates"] if e["name"] == parameter)
                 truth = findings.truth(task, robot)[parameter]
@@ -192,7 +211,7 @@ def variance_reduction(findings: Findings, task: str) -> Rows:
             rows.append({
                 "name": name, "label": LABELS[name], "parameter": parameter, "robots": len(usable),
                 **_over_robots("variance_reduction", reductions), **_over_robots("relative_error", errors),
-                "truth_in_90": int(np.sum(inside)),
+                "truth_in_90": int(np.sum(inside)), "ess": float(np.mean(effective)),
             })  # fmt: skip
     return rows
 
