@@ -26,7 +26,7 @@ LEAD = (
 WELCH = (
     "Welch's t-test over all rollouts, as the paper has it. Rollouts on one robot resemble one another, so with few "
     "robots its p values are too small. Each policy is one training: what another seed of the training would have "
-    "changed is in no interval and no p value. A positive difference of the divergence says that TCBI's model is the one "
+    "changed is in no interval and no p value. Where the difference of the divergence is positive, TCBI's model is "
     "further from the robot."
 )
 BAND = "Mean over robots, with its 95 % interval as a band; with fewer than three, a thin line for each robot."
