@@ -21,7 +21,7 @@ from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_msgs.action import Retrain
 from tcbi_msgs.srv import LoadPolicy
-from tcbi_policy.retraining import Event, Job, Outcome, reference_of, retrain
+from tcbi_policy.retraining import Event, Job, Outcome, better_than_another, reference_of, retrain
 from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
@@ -88,7 +88,7 @@ class RetrainNode(Node):
                 lambda: bool(handle.is_cancel_requested) or self._closing,
                 self._process,
             )
-            self._finish(handle, result, outcome)
+            self._finish(handle, result, outcome, job)
         except (TcbiError, OSError) as error:  # OSError: a full disk
             result.message = str(error)
             self.get_logger().error(result.message)
@@ -140,7 +140,7 @@ class RetrainNode(Node):
         elif event["event"] in ("resumed", "restarted"):
             self.get_logger().warning(f"training {event['event']}: {event.get('reason', 'from its last checkpoint')}")
 
-    def _finish(self, handle: ServerGoalHandle, result: Retrain.Result, outcome: Outcome) -> None:
+    def _finish(self, handle: ServerGoalHandle, result: Retrain.Result, outcome: Outcome, job: Job) -> None:
         result.accepted, result.policy, result.message = outcome.accepted, outcome.path, outcome.message
         result.return_before, result.return_after = outcome.return_before, outcome.return_after
         if outcome.cancelled:
@@ -148,7 +148,10 @@ class RetrainNode(Node):
             return
         result.success = True
         if outcome.accepted:
-            result.message += f"; {self._swap(outcome.reference)}"
+            why_not = better_than_another(self._in_use, job, self._store)
+            result.message += (
+                f"; kept as {outcome.reference}: {why_not}" if why_not else f"; {self._swap(outcome.reference)}"
+            )
         self.get_logger().info(result.message)
         handle.succeed()
 

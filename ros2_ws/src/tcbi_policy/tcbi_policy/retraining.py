@@ -32,7 +32,7 @@ from tcbi_policy.artefact import (
     save_policy,
 )
 from tcbi_policy.configuration import TrainingConfig, preset
-from tcbi_policy.errors import PolicyNotFound, TrainingError
+from tcbi_policy.errors import PolicyError, PolicyNotFound, TrainingError
 from tcbi_policy.randomisation import randomised
 from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_sim.model import Model
@@ -222,6 +222,26 @@ def next_name(root: Path, task: str) -> str:
     """The first free name `task-<n>` in the store."""
     taken = policy_paths(root)
     return next(name for name in (f"{task}-{n}" for n in range(1, len(taken) + 2)) if name not in taken)
+
+
+def better_than_another(in_use: str, job: Job, root: Path) -> str:
+    """ "", or why a job's result must not replace the policy in use: it was compared with another, or for another task.
+
+    Args:
+      in_use: id of the policy in use; empty while no policy node runs. A scripted gait may always be replaced.
+      job: whose result is better than `job.current`.
+      root: of the store.
+    """
+    if not in_use or in_use.startswith(GAIT_PREFIX):
+        return ""
+    try:
+        policy = find_policy(reference_of(in_use, root), root)
+    except PolicyError:
+        return f"{in_use} came into use meanwhile, with which it was not compared"
+    if isinstance(policy, Policy) and policy.card.task != job.task:
+        return f"{in_use} is in use, a policy for {policy.card.task}"
+    rival = find_policy(job.current, root)
+    return "" if rival.policy_id == in_use else f"{in_use} came into use meanwhile, with which it was not compared"
 
 
 def reference_of(policy_id: str, root: Path) -> str:

@@ -16,7 +16,7 @@ from tcbi_policy.errors import PolicyNotFound, TrainingError
 from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import randomised
-from tcbi_policy.retraining import OUTCOME, Job, next_name, plan, reference_of, retrain
+from tcbi_policy.retraining import OUTCOME, Job, better_than_another, next_name, plan, reference_of, retrain
 from tcbi_policy.runs import Run
 from tcbi_policy.training import ACCEPTANCE_SEED, compare_held_out
 from tcbi_sim.store import ModelStore
@@ -175,6 +175,17 @@ def test_a_policy_id_stands_for_a_name_only_as_long_as_the_name_holds_it(tmp_pat
     assert reference_of("gait:tripod", tmp_path) == "gait:tripod"
     with pytest.raises(PolicyNotFound, match="not in the store"):
         reference_of("balance@00000000", tmp_path)
+
+
+def test_a_result_replaces_only_the_policy_that_it_was_compared_with(tmp_path: Path) -> None:
+    balance, early, forward = (find_policy(name).policy_id for name in ("balance", "balance-early", "forward"))
+    against_early = job(tmp_path, current="balance-early")
+    for in_use in ("", "gait:steps", early):
+        assert better_than_another(in_use, against_early, tmp_path) == ""
+    assert "came into use meanwhile" in better_than_another(balance, against_early, tmp_path)
+    assert "came into use meanwhile" in better_than_another("balance@00000000", against_early, tmp_path)
+    against_forward = job(tmp_path, current="forward")
+    assert better_than_another(forward, against_forward, tmp_path) == f"{forward} is in use, a policy for forward"
 
 
 def test_a_policy_of_a_file_is_kept_in_the_store_once_and_found_by_its_id(tmp_path: Path) -> None:
