@@ -104,7 +104,7 @@ PRESETS: dict[str, dict[str, TrainingConfig]] = {
             "forward",
             steps=110_400,
             environments=32,
-            imitate="tripod",
+            imitate="stride",
             warm_up=1,
             noise=0.15,
             learning_rate=3e-4,

@@ -15,7 +15,7 @@ import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S, JOINT_LIMIT, LEGS
 from tcbi_policy.errors import PolicyNotFound
-from tcbi_policy.kinematics import inverse, neutral_feet
+from tcbi_policy.kinematics import from_hips, inverse, neutral_feet
 
 MAX_CHANGE = 0.6  # rad a control period, thus 3 rad/s: half of the servo's speed without load
 TRIPOD = np.array([leg in ("lf", "rm", "lr") for leg in LEGS])  # these legs against the other three
@@ -102,6 +102,28 @@ def walk(stroke: float, lift: float, half: int = 2, direction: float = 0.0, turn
     return np.array(rows)
 
 
+def stride(stroke: float, lift: float, outward: float, rise: float) -> np.ndarray:
+    """One cycle (4, 18) of a tripod walk that steps over obstacles, rad.
+
+    Within the joints' range a foot comes up by 4 cm where it stands; swung outwards it comes up by 10 cm and more. In
+    the first control period of half a cycle three feet go up, outwards and half the way forward, in the second down.
+
+    Args:
+      stroke: m that the trunk advances each half cycle.
+      lift: m that a swinging foot rises.
+      outward: m that it swings out, away from its hip.
+      rise: m that the trunk stands higher than in the neutral stance.
+    """
+    home = neutral_feet() - [0.0, 0.0, rise]
+    ahead, out = np.array([stroke, 0.0, 0.0]), outward * from_hips() + [0.0, 0.0, lift]
+    swings = np.where(TRIPOD, 1.0, -1.0)[:, None]
+    rows = []
+    for sign in (swings, -swings):  # of the foot's way: those that swing go forward, the others back
+        rows.append(inverse(home + np.where(sign > 0, out, 0.0)))
+        rows.append(inverse(home + 0.5 * sign * ahead))
+    return np.array(rows)
+
+
 def lean(
     roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, rise: float = 0.0, shift: tuple[float, float] = (0, 0)
 ) -> np.ndarray:
@@ -183,6 +205,7 @@ CYCLES: dict[str, np.ndarray] = {  # (n, 18) rad
     "tripod_slow": walk(stroke=0.08, lift=0.05, half=3),
     "backward": walk(stroke=-0.08, lift=0.05),
     "turn": walk(stroke=0.0, lift=0.05, turn=0.3),
+    "stride": stride(stroke=0.14, lift=0.11, outward=0.08, rise=0.016),
 }
 
 GAITS: dict[str, Plan] = {

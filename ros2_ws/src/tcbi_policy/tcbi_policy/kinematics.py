@@ -50,6 +50,12 @@ def neutral_feet() -> np.ndarray:
     return forward(np.zeros(18))
 
 
+def from_hips() -> np.ndarray:
+    """Directions (6, 3), of length 1 and level, in which the legs reach out in the neutral stance."""
+    angle = _directions()
+    return np.stack([np.cos(angle), np.sin(angle), np.zeros(6)], axis=-1)
+
+
 def _hips() -> np.ndarray:
     return np.array([dimensions()["hips"][leg]["position"] for leg in LEGS])
 

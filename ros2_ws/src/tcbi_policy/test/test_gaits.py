@@ -61,8 +61,16 @@ def test_leaning_turns_the_feet_about_the_trunk() -> None:
     assert (feet[:3, 2] < neutral_feet()[:3, 2]).all() and (feet[3:, 2] > neutral_feet()[3:, 2]).all()
 
 
+def test_a_stride_asks_every_foot_to_rise_above_the_tasks_blocks_and_a_tripod_walk_does_not() -> None:
+    for name, low, high in (("stride", 0.085, 0.12), ("tripod", 0.03, 0.05)):
+        height = forward(Gait(name).targets[40:60])[..., 2]
+        rise = height.max(axis=0) - height.min(axis=0)
+        assert low < rise.min() and rise.max() < high, name
+
+
 @pytest.mark.parametrize(
-    ("name", "low", "high"), [("tripod", 0.6, 1.2), ("backward", -1.2, -0.6), ("stand", -0.005, 0.005)]
+    ("name", "low", "high"),
+    [("tripod", 0.6, 1.2), ("stride", 1.0, 1.8), ("backward", -1.2, -0.6), ("stand", -0.005, 0.005)],
 )
 def test_the_robot_goes_where_the_gait_says(name: str, low: float, high: float) -> None:
     model = base_model("hexapod")
