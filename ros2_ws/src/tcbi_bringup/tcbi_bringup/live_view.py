@@ -75,7 +75,7 @@ def process_table(processes: Sequence[ProcessStatus]) -> Table:
             str(p.pid or "–"),
             str(p.restarts),
             f"{time.time() - p.started:.0f} s" if p.state == "running" else "–",
-            p.reason or (describe_exit(p.exit_code) if p.exit_code is not None else "–"),
+            Text(p.reason or (describe_exit(p.exit_code) if p.exit_code is not None else "–")),  # no markup: [/dev/…]
         )
     return table
 

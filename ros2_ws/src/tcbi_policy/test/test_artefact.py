@@ -1,6 +1,8 @@
 """Policies as files: equal to torch, refused by name of what differs, nothing pickled."""
 
 import json
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -140,3 +142,13 @@ def test_shipped_policies_load_and_fit(name: str) -> None:
     policy = find_policy(name)
     assert policy.policy_id.startswith(f"{name}@")
     assert [w.shape for w in policy.mlp.weights] == [(256, 21), (256, 256), (18, 256)]  # type: ignore[union-attr]
+
+
+def test_a_robot_needs_no_torch_to_act() -> None:
+    code = (
+        "import sys, numpy as np\n"
+        "from tcbi_policy.artefact import find_policy\n"
+        "print(find_policy('balance').act(0.0, np.zeros((1, 21))).shape, 'torch' in sys.modules)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True).stdout
+    assert said.split("\n")[0] == "(1, 18) False"
