@@ -22,10 +22,10 @@ class Several(Here):
         super().__init__(1, processors)
 
 
-def balancing() -> Problem:
+def balancing(duration: float = 1.0) -> Problem:
     """A policy that reacts to what it sees, on three slopes."""
     model, policy = base_model("hexapod"), find_policy("balance")
-    scenarios = [Scenario("balance", 1.0, 0.1 * s, -0.08 * s, seed=s) for s in range(3)]
+    scenarios = [Scenario("balance", duration, 0.1 * s, -0.08 * s, seed=s) for s in range(3)]
     out = simulate(model, model.mean()[None], scenarios, controller=policy, timestep=0.01)
     measured = [out.measurement(0, s, f"slope_{s}", policy.policy_id) for s in range(3)]
     return Problem.of(model, measured, loop="closed", timestep=0.01)
@@ -48,3 +48,16 @@ def test_however_many_work_every_view_has_the_bits_of_one(problem: Problem, view
     assert len(told) == 7 and told[-1] == 1.0
     for name, *values in zip(alone._fields, alone, one_thread, shared, strict=True):
         assert all(np.array_equal(v, values[0], equal_nan=v.dtype != bool) for v in values), name
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("duration", [1.02, 1.08, 1.16])
+def test_recordings_that_end_between_two_ticks_are_simulated_in_closed_loop_to_their_end(duration: float, view) -> None:
+    problem = balancing(duration)
+    (group,) = problem.groups
+    assert len(group.time) == round(50 * duration) + 1
+    seen = problem.simulate(problem.model.to_unit(problem.model.mean()[None]), view=VIEWS[view])
+    assert seen.valid.all()
+    (rollouts,), _ = problem.rollouts(problem.model.to_unit(problem.model.mean()[None]))
+    apart = rollouts.joint_position[0] - group.arrays.joint_position[0]
+    assert np.abs(apart).max() < 0.02, "the same robot on the same slopes, but for the sensors' noise"

@@ -200,7 +200,7 @@ def _closed_loop(simulator: Simulator, controller: Controller, offset: int) -> P
     controller.reset(simulator.count, np.random.default_rng([offset, simulator.scenarios[0].seed]))
     parts, given, now = [simulator.observe()], [], _attitude(simulator.observe())
     yaw0 = roll_pitch_yaw(now)[:, 2]
-    times = np.arange(round(duration * CONTROL_RATE_HZ)) / CONTROL_RATE_HZ
+    times = np.arange(np.ceil(duration * CONTROL_RATE_HZ - 1e-6)) / CONTROL_RATE_HZ  # a recording may end between ticks
     for t in times:
         last = parts[-1]
         seen = observation(last.joint_position[:, -1], _attitude(last), yaw0)
