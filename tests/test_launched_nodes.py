@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from tcbi_bringup import launcher
+from tcbi_bringup.domain_lock import hold_domain
+from tcbi_bringup.errors import SecondGraphError
 from tcbi_bringup.graph_monitor import GraphMonitor
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract.messages import STREAM_QOS
@@ -156,3 +159,10 @@ def test_a_node_that_hangs_when_it_is_told_to_end_says_where_and_ends(domain):
         node.send_signal(signal.SIGTERM)
         _, error = node.communicate(timeout=60)
     assert node.returncode == 1 and "in hang" in error
+
+
+def test_a_domain_is_held_also_where_the_users_runtime_folder_is_not_there(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "gone"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with hold_domain(231), pytest.raises(SecondGraphError, match="already runs in ROS domain 231"), hold_domain(231):
+        pass

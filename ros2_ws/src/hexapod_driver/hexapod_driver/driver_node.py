@@ -51,7 +51,7 @@ class DriverParameters:
     command_timeout_s: float = parameter(0.4, "torque goes off after this long without a command, s", 0.25, 0.4)
     hold_after_reset_s: float = parameter(10.0, "how long a reset's posture waits for the first command, s", 0.4, 60.0)
     posture_tolerance: float = parameter(0.35, "how far a joint may rest from a reset's posture, rad", 0.01, 1.0)
-    needs_reset: bool = parameter(False, "refuse commands until reset_episode; so does the launcher after a crash")
+    needs_reset: bool = parameter(False, "refuse commands until reset_episode; the launcher sets it after a crash")
 
     def link_settings(self) -> LinkSettings:
         """The part that concerns the link; raises CalibrationError."""
