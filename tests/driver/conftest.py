@@ -22,12 +22,14 @@ class KinematicBody:
     Attributes:
       torque: (18,) bool.
       armings: how often all torque has come on; a busy test may miss the moment itself.
+      limp_s: when the last torque went off, on the steady clock.
       stuck: joints that do not move.
     """
 
     def __init__(self, position: float = 0.0) -> None:
         self.torque = np.zeros(18, bool)
         self.armings = 0
+        self.limp_s = 0.0
         self.stuck: set[int] = set()
         self._from = np.full(18, position)
         self._goal = np.full(18, position)
@@ -51,8 +53,10 @@ class KinematicBody:
     def set_torque(self, servo_index: int, on: bool) -> None:
         here = self.position[servo_index]
         self._set(servo_index, here, here, 0.0)
-        was_armed = self.torque.all()
+        was_armed, had_torque = self.torque.all(), self.torque.any()
         self.torque[servo_index] = on
+        if had_torque and not self.torque.any():
+            self.limp_s = time.monotonic()
         self.armings += bool(self.torque.all() and not was_armed)
 
     def read(self) -> BodyState:

@@ -78,15 +78,20 @@ class Commander:
 
     def __init__(self, driver: Driver, target=ZERO) -> None:
         self.target = target
+        self.last_s = 0.0  # when it last commanded, on the steady clock
         self._driver, self._stop = driver, threading.Event()
         self._thread = threading.Thread(target=self._run)
 
     def _run(self) -> None:
         while not self._stop.wait(0.1):
-            self._driver.command(self.target)
+            self._command()
+
+    def _command(self) -> None:
+        self.last_s = time.monotonic()
+        self._driver.command(self.target)
 
     def __enter__(self) -> "Commander":
-        self._driver.command(self.target)
+        self._command()
         self._thread.start()
         return self
 
@@ -145,6 +150,31 @@ def test_a_driver_that_dies_leaves_a_limp_robot(make_bench, make_driver, until, 
     robot.command(ZERO, 0.2)
     until(lambda: bench.body.armings == 1, "torque")
     until(lambda: not bench.body.torque.any(), "limp without a word from the driver")
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+@pytest.mark.parametrize("fault", ["silence", "unplugged", "stop"])
+def test_the_robot_is_limp_two_control_periods_after_a_fault(make_bench, make_driver, until, ports: int, fault: str):
+    """To which a cycle of the link and the wire are added. The stop waits for nothing."""
+    allowed = {"silence": (0.4, 0.5), "unplugged": (0.2, 0.5), "stop": (0.0, 0.1)}[fault]
+    took = []
+    for _ in range(5):  # a busy machine may hold up the robot or who watches it
+        bench = make_bench(ports)
+        driver = make_driver(bench.paths).start()
+        until(lambda driver=driver: bool(driver.joints), "a reading")
+        with Commander(driver) as commander:
+            until(lambda bench=bench: bool(bench.body.torque.all()), "torque")
+            if fault != "silence":
+                began = time.monotonic()
+                bench.unplug() if fault == "unplugged" else driver.stop()
+                until(lambda bench=bench: not bench.body.torque.any(), "limp")
+        if fault == "silence":
+            began = commander.last_s
+            until(lambda bench=bench: not bench.body.torque.any(), "limp")
+        took.append(bench.body.limp_s - began)
+        if allowed[0] <= took[-1] <= allowed[1]:
+            return
+    pytest.fail(f"limp after {took} s, allowed is {allowed}")
 
 
 def test_an_unplugged_link_is_found_again_and_the_robot_stays_limp_until_a_reset(make_bench, make_driver, until):
@@ -299,6 +329,40 @@ def test_a_reset_moves_slowly_and_a_stuck_leg_fails_it_by_name(make_bench, make_
     success, text = driver.answers.pop()
     assert not success and "lr_tibia" in text
     until(lambda: not bench.body.torque.any(), "limp")
+
+
+def test_a_reset_waits_for_a_reading_of_the_joints_but_not_for_ever(make_bench, make_driver, until):
+    bench = make_bench(position=0.1)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    for comes_back in (True, False):
+        bench.electronics.bus.absent.add(7)
+        until(lambda: not driver.link.safety.knows_joints(time.monotonic()), "the reading to be old")
+        driver.reset()
+        if comes_back:
+            bench.electronics.bus.absent.clear()
+        until(lambda: bool(driver.answers), "the answer")
+        success, text = driver.answers.pop()
+        assert success == comes_back, text
+    assert "where the joints are is not known" in text
+
+
+def test_an_emergency_stop_ends_a_reset_that_waits(make_bench, make_driver, until):
+    bench = make_bench(position=0.1)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    bench.electronics.bus.absent.add(7)
+    until(lambda: not driver.link.safety.knows_joints(time.monotonic()), "the reading to be old")
+    driver.reset()
+    driver.stop()
+    until(lambda: bool(driver.answers), "the reset's answer")
+    success, text = driver.answers[0]
+    assert not success and "emergency stop" in text
+    driver.release()
+    bench.electronics.bus.absent.clear()
+    seen = len(driver.joints)
+    until(lambda: len(driver.joints) > seen + 20, "readings again")
+    assert not bench.body.torque.any()
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")

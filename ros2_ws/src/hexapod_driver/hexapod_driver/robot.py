@@ -7,6 +7,7 @@ the robot silent. Any failure of the wire leaves as `LinkLost`; the safety state
 
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from hexapod_driver import feetech, sensor_board
 from hexapod_driver.calibration import Calibration
@@ -27,10 +28,20 @@ TORQUE_CHECK_S = 0.5
 KEEP_ALIVE_S = 0.1
 STREAM_RETRY_S = 0.2
 STOP_CONFIRM_S = 0.5
+KNOWN_S = 1.0  # time that a reset has to learn where the joints are
 HEALTH_BYTES = 8  # position, speed, load, voltage, temperature from address 56
 
 
 Done = Callable[[bool, str], None]
+
+
+class AskedPosture(NamedTuple):
+    """A posture that cannot begin yet: since a stall of this computer, where the joints are is not known."""
+
+    target: tuple[float, ...]
+    tolerance: float
+    done: Done
+    patience_s: float  # until when, on the steady clock
 
 
 class Robot:
@@ -63,6 +74,7 @@ class Robot:
         self._last_sample = now
         self._last_board_us: int | None = None
         self._purpose: dict[int, Callable[[BusReply], None]] = {}
+        self._asked: AskedPosture | None = None
         self._posture: PostureMove | None = None
         self._stops: list[tuple[float, Done]] = []
 
@@ -78,6 +90,7 @@ class Robot:
     def act(self) -> None:
         """Do what is due: go on with a posture, look at the watchdogs, ask the robot."""
         now = time.monotonic()
+        self._wait_for_joints(now)
         self._continue_posture(now)
         self._watch(now)
         self._request(now)
@@ -93,16 +106,22 @@ class Robot:
     def begin_posture(self, target: Sequence[float], tolerance: float, done: Done) -> None:
         """Move slowly to `target` (18,) rad; `done` is called once with success and a line.
 
+        It begins when a reading has told where the joints are, at once where the last one is fresh.
+
         Raises:
           CommandRefused: see `Safety.begin_reset`.
         """
         now = time.monotonic()
-        start = self._safety.begin_reset(now)
-        self._posture = PostureMove(tuple(target), start, self._safety.limits.approach_speed, tolerance, now, done)
+        asked = AskedPosture(tuple(target), tolerance, done, now + KNOWN_S)
+        if self._asked is None and not self._safety.knows_joints(now):
+            self._asked = asked
+        else:
+            self._begin_posture(now, asked)
 
     def stop(self, done: Done) -> None:
         """Emergency stop; `done` is called when all servos confirm that their torque is off, or after half a second."""
         now = time.monotonic()
+        self._forget_asked("interrupted: emergency stop")
         self._safety.stop()
         self.health.torque = {}
         self._stops.append((now + STOP_CONFIRM_S, done))
@@ -121,6 +140,7 @@ class Robot:
 
     def abandon(self, reason: str) -> None:
         """The connection is over: tell everybody who waits."""
+        self._forget_asked(reason)
         if self._posture is not None:
             self._finish_posture(False, reason)
         stops, self._stops = self._stops, []
@@ -252,6 +272,25 @@ class Robot:
         return packets
 
     # What moves
+
+    def _begin_posture(self, now: float, asked: AskedPosture) -> None:
+        start, speed = self._safety.begin_reset(now), self._safety.limits.approach_speed
+        self._posture = PostureMove(asked.target, start, speed, asked.tolerance, now, asked.done)
+
+    def _forget_asked(self, reason: str) -> None:
+        asked, self._asked = self._asked, None
+        if asked is not None:
+            asked.done(False, reason)
+
+    def _wait_for_joints(self, now: float) -> None:
+        asked = self._asked
+        if asked is None or (now < asked.patience_s and not self._safety.knows_joints(now)):
+            return
+        self._asked = None
+        try:
+            self._begin_posture(now, asked)
+        except CommandRefused as error:
+            asked.done(False, str(error))
 
     def _continue_posture(self, now: float) -> None:
         posture = self._posture

@@ -153,11 +153,15 @@ class Safety:
         self._measured = tuple(position)
         self._measured_s = now
 
+    def knows_joints(self, now: float) -> bool:
+        """Whether the last reading of the joints is fresh enough to move from."""
+        return now - self._measured_s <= self.limits.silence_s
+
     def tick(self, now: float) -> bool:
         """Look at the clock; True if that has just made the robot limp."""
         if self.mode is not Mode.ACTIVE:
             return False
-        if now - self._measured_s > self.limits.silence_s:
+        if not self.knows_joints(now):
             self.go_limp(f"no reading of all joints for {self.limits.silence_s} s", needs_reset=True)
             return True
         if now > self._deadline_s:
@@ -265,5 +269,5 @@ class Safety:
         self._check_feedback(now, "joint_commands")
 
     def _check_feedback(self, now: float, what: str) -> None:
-        if now - self._measured_s > self.limits.silence_s:
+        if not self.knows_joints(now):
             raise CommandRefused(f"{what}: where the joints are is not known; see diagnostics")
