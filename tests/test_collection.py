@@ -11,10 +11,12 @@ from action_msgs.msg import GoalStatus
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
 
 from tcbi_contract import messages, names
 from tcbi_infer import collect_client
 from tcbi_infer.bags.reader import read_measurement
+from tcbi_msgs.msg import RolloutEvent
 from tcbi_msgs.srv import ResetEpisode
 from tests.recording_cases import Collection, recorder
 
@@ -89,6 +91,37 @@ def test_each_distance_that_is_asked_for_goes_to_its_own_rollout(start_graph, pe
         peer.wait_until(lambda: collect.poll() is not None, "the end of the collection")
         bags = json.loads(collect.stdout.read())["bags"]
     assert [read_measurement(bag).distance for bag in bags] == [0.42, pytest.approx(math.nan, nan_ok=True), 0.1]
+
+
+class SlowPolicy:
+    """It is switched on too late the first time, as on a busy machine."""
+
+    def __init__(self, peer, slow: int) -> None:
+        self.slow, self.switched_on = slow, 0
+        peer.node.create_service(SetBool, names.ENABLE_POLICY, self.enable)
+
+    def enable(self, request, response):
+        if request.data:
+            self.switched_on += 1
+            if self.switched_on <= self.slow:
+                time.sleep(0.7)
+        response.success = True
+        return response
+
+
+@pytest.mark.parametrize(("slow", "starts"), [(1, 2), (9, 3)])
+def test_a_rollout_whose_policy_came_too_late_begins_anew_but_not_for_ever(start_graph, peer, tmp_path, slow, starts):
+    start_graph(recorder(tmp_path / "bags", lockstep=False))
+    robot, policy = Robot(peer), SlowPolicy(peer, slow)
+    events = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
+    goal = {"task": "balance", "number": 1, "duration_s": 0.6}
+    status, result = Collection(peer, **goal).result()
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert (robot.resets - 1, policy.switched_on) == (starts, starts)
+    kinds = [event.kind for event in events]
+    assert kinds == [RolloutEvent.BEGIN, RolloutEvent.ABORT] * (starts - 1) + [RolloutEvent.BEGIN, RolloutEvent.END]
+    assert "after the rollout had begun" in events[1].note
+    assert [path.name for path in (tmp_path / "bags").iterdir() if path.is_dir()] == [events[-1].rollout_id]
 
 
 class SlowRobot(Robot):

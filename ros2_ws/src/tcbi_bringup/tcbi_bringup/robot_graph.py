@@ -1,5 +1,6 @@
 """Which processes make a graph: a robot or its simulation, and what acts, records, infers and trains beside it."""
 
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -103,6 +104,17 @@ class GraphOptions:
             raise UnknownNameError("model version", self.model, known)
         if self.policy:
             find_policy(self.policy, self.store)
+        self._check_recordings()
+
+    def _check_recordings(self) -> None:
+        try:
+            self.bags.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.bags):
+                pass
+        except OSError as error:
+            raise LaunchError(
+                f"--bags: {self.bags} cannot be used for recordings ({error.strerror}); choose another folder"
+            ) from error
 
     def _check_ports(self) -> None:
         for option, port in (("--robot", self.robot), ("--sensor-port", self.sensor_port)):

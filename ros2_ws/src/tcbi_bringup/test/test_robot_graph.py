@@ -167,3 +167,10 @@ def test_a_model_that_there_is_not_is_refused_before_anything_starts(tmp_path):
     GraphOptions(store=tmp_path, model="hexapod-v0").check()
     with pytest.raises(UnknownNameError, match=r"unknown model version 'hexapod-v99'.*known: hexapod-v0"):
         GraphOptions(store=tmp_path, model="hexapod-v99").check()
+
+
+@pytest.mark.parametrize("folder", ["/proc/rollouts", "file/rollouts"])
+def test_a_folder_that_cannot_hold_recordings_is_refused_before_anything_starts(folder, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(LaunchError, match=r"--bags: .*cannot be used for recordings .*choose another folder"):
+        GraphOptions(store=tmp_path, recordings=tmp_path / folder).check()

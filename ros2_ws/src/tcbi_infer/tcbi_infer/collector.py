@@ -32,6 +32,7 @@ NO_POLICY = "none"
 GROUND_AS_IT_IS = "slopes that were not given count as level, and there are no blocks"
 CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more means that they are different clocks
 LEAD_NS = 300_000_000  # from the publication of BEGIN to its stamp, where time runs by itself
+STARTS = 3  # of a rollout whose policy was switched on too late on a busy machine; the last one is taken as it is
 STATUS_S = 3.0  # wall time for the policy node to say what is loaded
 FEEDBACK_S = 0.5  # wall time
 COMMAND_SILENCE_S = 1.0  # ROS time, five control periods
@@ -44,6 +45,10 @@ RESETS, PAUSE_S = 4, 1.5
 
 class CancelledError(TcbiError):
     """The caller does not want the rest."""
+
+
+class LateStartError(RecordingError):
+    """The policy was switched on when its first tick had passed: no repeat of this rollout would be like it."""
 
 
 class Until:
@@ -137,6 +142,17 @@ class Collector:
     # -- one rollout ----------------------------------------------------------------------------------------------
 
     async def _rollout(self, goal: Any, request: Request, index: int, folder: RecordingFolder) -> Path:
+        for started in range(1, STARTS):
+            try:
+                return await self._start(goal, request, index, folder)
+            except LateStartError as error:
+                self.node.get_logger().warning(f"{error} ({started} of {STARTS} starts); it begins anew")
+        return await self._start(goal, request, index, folder, late=True)
+
+    async def _start(
+        self, goal: Any, request: Request, index: int, folder: RecordingFolder, late: bool = False
+    ) -> Path:
+        """Reset, record, end; `late` is whether the policy may come too late for its first tick."""
         scenario = scenario_of(request, index)
         self._refuse_if_cancelled(goal)
         reset, placed = await self._reset_episode(scenario, request.model)
@@ -149,19 +165,25 @@ class Collector:
         self.node.open(folder, event.rollout_id, begin, serialize_message(event), end)
         self._require_recording()
         self.node.events.publish(event)
+        self.node.heard_joints_s = time.monotonic()
         try:
+            if request.policy != NO_POLICY:
+                await self._set_policy(True)
+                if not (late or self.node.simulated_time):
+                    self._refuse_late_start(begin)
             await self._act(goal, request, index, end)
             return await self._end(event, end, request)
+        except LateStartError as error:
+            self.node.recorder.discard()
+            await self._abort(event, str(error), request)
+            raise
         except TcbiError as error:
             await self._abort(event, str(error), request)
             raise
 
     async def _act(self, goal: Any, request: Request, index: int, end: int) -> None:
-        """Policy on, wait for the end, policy off."""
+        """Wait for the end, policy off."""
         node = self.node
-        node.heard_joints_s = time.monotonic()
-        if request.policy != NO_POLICY:
-            await self._set_policy(True)
         told = 0.0
         while True:
             left = (end - node.get_clock().now().nanoseconds) * 1e-9
@@ -236,6 +258,11 @@ class Collector:
                 f"the policy has sent no {names.JOINT_COMMANDS} for {silent:.1f} s and the robot is limp; the log of "
                 "policy_node says why"
             )
+
+    def _refuse_late_start(self, begin: int) -> None:
+        late = self.node.get_clock().now().nanoseconds - begin
+        if late > 0:
+            raise LateStartError(f"the policy was switched on {late * 1e-6:.0f} ms after the rollout had begun")
 
     def _refuse_if_cancelled(self, goal: Any) -> None:
         if goal.is_cancel_requested:

@@ -134,6 +134,12 @@ class Recorder:
         self.rollout = None
         return path
 
+    def discard(self) -> None:
+        """Remove what was recorded of a rollout that is none."""
+        if self.rollout is not None:
+            self.rollout.bag.discard()
+            self.rollout = None
+
     def flush(self) -> None:
         """Hand what was recorded to the operating system, where a kill cannot lose it."""
         if self.rollout is not None:

@@ -24,6 +24,7 @@ from tcbi_contract import messages, names
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_contract.wording import counted
+from tcbi_infer.bags import schemas
 from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.bags.schemas import stamp_of
 from tcbi_infer.collector import Collector
@@ -80,6 +81,7 @@ class RecorderNode(Node):
     def __init__(self) -> None:
         super().__init__("recorder_node")
         self.values = declare(self, RecorderParameters)
+        schemas.prepare()
         self.folder = RecordingFolder(self.values.folder)
         for line in self.folder.repaired:
             self.get_logger().warning(line)

@@ -77,6 +77,13 @@ def type_hash(message_type: str) -> str:
     return typestore().hash_rihs01(message_type)
 
 
+def prepare() -> None:
+    """Work out all of the contract's definitions now, which takes a while, instead of when a robot waits for them."""
+    for message_type in MESSAGES.values():
+        definition(message_type)
+        type_hash(message_type)
+
+
 @functools.cache
 def _store_of(message_type: str, encoding: str, text: str) -> Typestore:
     store = get_typestore(Stores.EMPTY)

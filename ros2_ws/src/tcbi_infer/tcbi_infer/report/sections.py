@@ -14,7 +14,11 @@ from tcbi_sim.model import Model
 
 
 def add_ladder(
-    report: Report, errors: Sequence[tuple[str, float]], text: str = "", repeated: bool | None = None
+    report: Report,
+    errors: Sequence[tuple[str, float]],
+    text: str = "",
+    repeated: bool | None = None,
+    title: str = "How wrong is the model?",
 ) -> None:
     """The error ladder: noise floor, then each model, then what is left.
 
@@ -23,6 +27,7 @@ def add_ladder(
       errors: label and error over noise floor of each model.
       text: one paragraph more.
       repeated: whether the floor comes from repeats of the same commands, else it is estimated; None: not known.
+      title: of the section.
     """
     itself = {
         True: "in multiples of how much the robot differs from itself when it repeats a motion",
@@ -34,7 +39,7 @@ def add_ladder(
         "good as any model can be."
     )
     figure = Figure(plots.ladder(errors, repeated), "Error over noise floor, joints and attitude.", wide=True)
-    report.add(Section("How wrong is the model?", text=[explain, *([text] if text else [])], figures=[figure]))
+    report.add(Section(title, text=[explain, *([text] if text else [])], figures=[figure]))
 
 
 def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[str, float]] = ()) -> None:
@@ -52,7 +57,7 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
     own = [(step_label(k), v) for k, v in d.errors.items()]
-    add_ladder(report, [*earlier, *own], repeated=d.floor_from_replicates)
+    add_ladder(report, [*earlier, *own], repeated=d.floor_from_replicates, title="The error before and after")
     if d.ranking:
         report.add(_ranking(d))
     if d.moments:
@@ -145,7 +150,7 @@ def _moments(d: Diagnosis) -> Section:
         )
         figures.append(Figure(svg, f"{m.signal} in rollout {m.rollout}."))
     return Section(
-        "The worst moments",
+        "The worst moments before and after",
         text=[
             "Where the model without any new effect fails worst, and what the best candidate "
             f"({d.ranking[0].use}) makes of it. Both were fitted to "
