@@ -26,6 +26,7 @@ from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
 SWAP_TIMEOUT_S = 5.0
+STAND_BY_AGAIN_S = 60.0  # after a training: just then the robot tries the new policy, and has no processor to spare
 ENDING_S, ENDING_POLL_S = 4.0, 0.1  # for a training to end with the node
 
 
@@ -49,8 +50,8 @@ class RetrainNode(Node):
         self._busy = self._closing = False
         self._in_use = ""
         self._state: dict[str, Any] = {"state": "idle"}
-        self._waiting: TrainingProcess | None = None
-        self._stand_by()
+        self._waiting: TrainingProcess | None = TrainingProcess() if self.values.stand_by else None
+        self._ended_s = math.inf  # of the last training, on the steady clock
         training, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
         self.create_subscription(
@@ -94,13 +95,13 @@ class RetrainNode(Node):
             self.get_logger().error(result.message)
             handle.abort()
         finally:
-            self._busy = False
+            self._busy, self._ended_s = False, time.monotonic()
             self._state = {"state": "idle", "last": result.message}
-            self._stand_by()
         return result
 
-    def _stand_by(self) -> None:
-        if self.values.stand_by and self._waiting is None and not self._closing:
+    def _stand_by_again(self) -> None:
+        rested = time.monotonic() > self._ended_s + STAND_BY_AGAIN_S
+        if self.values.stand_by and self._waiting is None and rested and not (self._busy or self._closing):
             self._waiting = TrainingProcess()
 
     def _process(self) -> TrainingProcess:
@@ -165,6 +166,7 @@ class RetrainNode(Node):
         return f"now in use as {response.policy_id}" if response.success else f"kept as {reference}: {response.message}"
 
     def _diagnose(self) -> None:
+        self._stand_by_again()
         status = DiagnosticStatus(level=DiagnosticStatus.OK, name="retrain_node", message=str(self._state["state"]))
         status.values = [KeyValue(key=key, value=str(value)) for key, value in self._state.items() if key != "state"]
         array = DiagnosticArray(status=[status])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tcbi_infer.report import Section
 
 SUMMARY = "The whole story on an emulated robot: record, compare, diagnose, add, infer, retrain, measure again."
-NICENESS = 5
+NICENESS = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
