@@ -15,12 +15,38 @@ from tcbi_policy.errors import TrainingError
 from tcbi_sim.model import Model
 
 PARTICLES = 1024
+HELD_OUT = 0.25  # of a model's weight, at least
+LEAST_PARTICLES = 8  # that bear weight: fewer are not divided
 
 
 def prior_of(model: Model, seed: int = 0) -> Model:
     """The model's structure with every parameter as wide as its prior."""
     units = np.random.default_rng([seed, 32452843]).random((PARTICLES, len(model.names)))
     return model.with_particles(model.from_unit(units), prior_of=model.version)
+
+
+def divided(model: Model, seed: int) -> tuple[Model, Model]:
+    """The model with the particles to train on, and with those that only a comparison of policies may see.
+
+    No parameter vector is in both. Where so few particles bear weight that neither part would stand for the posterior,
+    both are the whole model.
+
+    Args:
+      model: with its particles, of which some may be equal.
+      seed: of the division.
+    """
+    vectors, member = np.unique(model.particles, axis=0, return_inverse=True)
+    weight = np.bincount(member.ravel(), model.weights, len(vectors))
+    if 1.0 / np.sum(weight**2) < LEAST_PARTICLES:
+        return model, model
+    order = np.random.default_rng([seed, 67867967]).permutation(len(vectors))
+    count = int(np.searchsorted(np.cumsum(weight[order]), HELD_OUT)) + 1
+    held_out = np.isin(member.ravel(), order[:count])
+    kept, judged = (
+        dataclasses.replace(model, particles=model.particles[part], log_weights=model.log_weights[part])
+        for part in (~held_out, held_out)
+    )
+    return kept, judged
 
 
 def randomised(model: Model, effects: tuple[str, ...], share: float = 0.5, seed: int = 0) -> Model:

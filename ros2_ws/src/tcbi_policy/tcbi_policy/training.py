@@ -51,7 +51,7 @@ from tcbi_policy.evaluation import (
 from tcbi_policy.gaits import CYCLES, Gait
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
-from tcbi_policy.randomisation import prior_of, randomised
+from tcbi_policy.randomisation import divided, prior_of, randomised
 from tcbi_policy.runs import ERRORS, Run
 from tcbi_policy.stable_baselines import (
     HexapodVecEnv,
@@ -276,9 +276,17 @@ class Training:
         tensors, texts = state_tensors(self.algorithm)
         tensors |= {f"best/{name}": torch.as_tensor(array) for name, array in self.best.tensors().items()}
         texts["state"] = json.dumps(dataclasses.asdict(self.state))
-        replace_file(self.folder / "checkpoint.safetensors", save(tensors, texts))
+        replay = self._replay_file()
         if self.config.algorithm == "sac":
-            replace_file(self.folder / "replay.npz", replay_bytes(self.algorithm))
+            replace_file(replay, replay_bytes(self.algorithm))
+        replace_file(self.folder / "checkpoint.safetensors", save(tensors, texts))  # from here on the new one counts
+        for old in self.folder.glob("replay-*.npz"):
+            if old != replay:
+                old.unlink()
+
+    def _replay_file(self) -> Path:
+        """What SAC remembers at the present step: a kill between two files leaves the old pair or the new one."""
+        return self.folder / f"replay-{self.state.steps}.npz"
 
     def _resume(self) -> bool:
         path = self.folder / "checkpoint.safetensors"
@@ -290,8 +298,13 @@ class Training:
         self.state = State(**json.loads(texts["state"]))
         best = {name.removeprefix("best/"): t.numpy() for name, t in tensors.items() if name.startswith("best/")}
         self.best = Mlp.from_tensors(best, self.environment.limit)
-        if (self.folder / "replay.npz").exists():
-            restore_replay(self.algorithm, self.folder / "replay.npz")
+        if self.config.algorithm == "sac":
+            if not self._replay_file().exists():
+                raise TrainingError(
+                    f"{path}: {self._replay_file().name} belongs to it and is not there; bring it back, or remove the "
+                    "checkpoint to train afresh"
+                )
+            restore_replay(self.algorithm, self._replay_file())
         self._report({"event": "resumed", "steps": self.state.steps})
         return True
 
@@ -329,13 +342,17 @@ def train_run(folder: Path, report: Report) -> None:
     if start is not None and not isinstance(start, Policy):
         raise TrainingError(f"training cannot start from the scripted gait {run.start}; name a trained policy, or none")
     rival = find_policy(run.rival, store.root) if run.rival else None
-    policy = Training(folder, run.config, model, start, report).run()
     if rival is None:
+        Training(folder, run.config, model, start, report).run()
         return
+    model, unseen = divided(model, run.config.seed)
+    policy = Training(folder, run.config, model, start, report).run()
     report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
-    comparison = compare_held_out(rival, policy, model, run)
+    comparison = compare_held_out(rival, policy, unseen, run)
     also = run.config.randomisation()
     statement = comparison.statement() + (f", both with {also}" if also else "")
+    if unseen is model:
+        statement += ", whose scenarios are new; too few particles bear weight to keep some from the training"
     facts = {"better": comparison.better, "statement": statement, **dataclasses.asdict(comparison)}
     report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, **facts})
 

@@ -1,5 +1,7 @@
 """Which effects an episode has, and how far its parameters spread."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import NoisyObservation
 from tcbi_policy.gaits import Gait
-from tcbi_policy.randomisation import prior_of, randomised
+from tcbi_policy.randomisation import HELD_OUT, divided, prior_of, randomised
 from tcbi_sim.errors import SimError
 from tcbi_sim.model import base_model
 
@@ -34,6 +36,26 @@ def test_a_prior_is_as_wide_as_the_bounds_whatever_the_posterior_says() -> None:
     units = narrow.to_unit(prior_of(narrow).particles)
     np.testing.assert_allclose(units.mean(axis=0), 0.5, atol=0.05)
     np.testing.assert_allclose(units.std(axis=0), 12**-0.5, atol=0.02)
+
+
+def test_what_policies_are_compared_on_shares_no_parameters_with_what_they_are_trained_on() -> None:
+    rng = np.random.default_rng(4)
+    resampled = MODEL.with_particles(MODEL.particles[rng.integers(0, 20, 200)])  # with repeats, as a posterior has
+    weighted = dataclasses.replace(MODEL, log_weights=rng.normal(0.0, 1.5, len(MODEL.particles)))
+    for model in (resampled, weighted):
+        kept, unseen = divided(model, seed=3)
+        assert not {tuple(p) for p in kept.particles} & {tuple(p) for p in unseen.particles}
+        assert len(kept.particles) + len(unseen.particles) == len(model.particles)
+        share = np.exp(unseen.log_weights - model.log_weights.max()).sum()
+        share /= np.exp(model.log_weights - model.log_weights.max()).sum()
+        assert HELD_OUT <= share <= HELD_OUT + 0.35
+        assert np.array_equal(divided(model, seed=3)[1].particles, unseen.particles)
+        assert not np.array_equal(divided(model, seed=4)[1].particles, unseen.particles)
+
+
+def test_a_model_of_few_particles_is_not_divided() -> None:
+    few = MODEL.with_particles(MODEL.particles[np.arange(200) % 7])
+    assert divided(few, seed=0) == (few, few)
 
 
 def test_environments_with_different_effects_run_side_by_side() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tcbi_policy import imitation
+from tcbi_policy import training as training_module
 from tcbi_policy.artefact import Policy, load_policy
 from tcbi_policy.configuration import PRESETS, TrainingConfig, preset
 from tcbi_policy.errors import TrainingError
@@ -71,6 +72,29 @@ def test_a_killed_run_goes_on_to_the_same_weights(tmp_path: Path, config: Traini
     resumed = train(tmp_path / "killed", config)
     assert resumed.card.sha256 == whole.card.sha256
     assert [p["steps"] for p in resumed.card.curve] == [p["steps"] for p in whole.card.curve]
+
+
+def test_sac_killed_between_its_two_files_goes_on_to_the_same_weights(tmp_path: Path, monkeypatch) -> None:
+    config = dataclasses.replace(TINY, algorithm="sac", updates=2, batch_size=16)
+    whole = train(tmp_path / "whole", config)
+    write, checkpoints = training_module.replace_file, []
+
+    def killed_at_the_third(path: Path, data: bytes) -> None:
+        checkpoints.extend([path] if path.name == "checkpoint.safetensors" else [])
+        if len(checkpoints) == 3:
+            raise Killed
+        write(path, data)
+
+    monkeypatch.setattr(training_module, "replace_file", killed_at_the_third)
+    with pytest.raises(Killed):
+        train(tmp_path / "killed", config)
+    assert len(list((tmp_path / "killed").glob("replay-*.npz"))) == 2
+    monkeypatch.setattr(training_module, "replace_file", write)
+    assert train(tmp_path / "killed", config).card.sha256 == whole.card.sha256
+    (left,) = (tmp_path / "killed").glob("replay-*.npz")
+    left.unlink()
+    with pytest.raises(TrainingError, match=rf"{left.name} belongs to it and is not there"):
+        Training(tmp_path / "killed", config, MODEL).run()
 
 
 def progress_events(folder: Path, config: TrainingConfig, moments: list[tuple[float, int]]) -> list[dict[str, Any]]:
