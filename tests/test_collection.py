@@ -109,15 +109,18 @@ class SlowPolicy:
         return response
 
 
-@pytest.mark.parametrize(("slow", "starts"), [(1, 2), (9, 3)])
-def test_a_rollout_whose_policy_came_too_late_begins_anew_but_not_for_ever(start_graph, peer, tmp_path, slow, starts):
+@pytest.mark.parametrize(("slow", "least"), [(1, 2), (9, 3)])
+def test_a_rollout_whose_policy_came_too_late_begins_anew_but_not_for_ever(start_graph, peer, tmp_path, slow, least):
     start_graph(recorder(tmp_path / "bags", lockstep=False))
     robot, policy = Robot(peer), SlowPolicy(peer, slow)
     events = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
     goal = {"task": "balance", "number": 1, "duration_s": 0.6}
     status, result = Collection(peer, **goal).result()
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message
-    assert (robot.resets - 1, policy.switched_on) == (starts, starts)
+    starts = policy.switched_on
+    assert least <= starts <= 3, "a busy machine may be late once more"
+    assert robot.resets - 1 == starts
+    peer.wait_until(lambda: events[-1].kind == RolloutEvent.END, "the event of the end")
     kinds = [event.kind for event in events]
     assert kinds == [RolloutEvent.BEGIN, RolloutEvent.ABORT] * (starts - 1) + [RolloutEvent.BEGIN, RolloutEvent.END]
     assert "after the rollout had begun" in events[1].note
