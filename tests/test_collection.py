@@ -124,6 +124,7 @@ def test_a_rollout_whose_policy_came_too_late_begins_anew_but_not_for_ever(start
     kinds = [event.kind for event in events]
     assert kinds == [RolloutEvent.BEGIN, RolloutEvent.ABORT] * (starts - 1) + [RolloutEvent.BEGIN, RolloutEvent.END]
     assert "after the rollout had begun" in events[1].note
+    assert ("after the rollout had begun" in events[-1].note) == (slow > 3) == ("too late" in result.message)
     assert [path.name for path in (tmp_path / "bags").iterdir() if path.is_dir()] == [events[-1].rollout_id]
 
 

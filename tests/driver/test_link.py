@@ -114,6 +114,23 @@ def test_joints_and_board_come_fifty_times_a_second(make_bench, make_driver, unt
     assert driver.board[-1].sample.angular_velocity == pytest.approx((0.1, 0.2, 0.3))
 
 
+def test_with_two_ports_a_robot_whose_power_the_board_has_cut_starts_and_is_found_again(make_bench, make_driver, until):
+    bench = make_bench(ports=2)
+
+    def without_power() -> bool:
+        return bench.electronics.bus.receive(feetech.encode(1, feetech.Instruction.PING)) == b""
+
+    until(without_power, "the watchdog, for nobody has spoken to the board")
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    assert not bench.body.torque.any()
+    bench.unplug()
+    until(lambda: driver.link.robot is None and without_power(), "the loss, and the watchdog again")
+    bench.plug_in()
+    until(lambda: driver.link.robot is not None and driver.link.reconnects == 1, "the robot again")
+    assert not bench.body.torque.any()
+
+
 @pytest.mark.parametrize("ports", [1, 2])
 def test_commands_move_all_joints_on_both_sides(make_bench, make_driver, until, ports: int):
     bench = make_bench(ports)

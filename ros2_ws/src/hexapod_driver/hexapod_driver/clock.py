@@ -55,21 +55,21 @@ class RisingStamps:
     """Keeps the stamps of one topic from repeating or going back, by the least that does it.
 
     Attributes:
-      held_back: how many stamps had to be raised.
+      behind_ns: by how much the newest stamp was raised; large after a clock was set back, until it catches up.
     """
 
     def __init__(self) -> None:
-        self.held_back = 0
+        self.behind_ns = 0
         self._last: int | None = None
 
     def next(self, stamp_ns: int) -> int:
         """`stamp_ns`, or the next possible stamp after the last one."""
+        self.behind_ns = 0
         if self._last is not None and stamp_ns <= self._last:
-            self.held_back += 1
-            stamp_ns = self._last + _LEAST_STEP_NS
-        self._last = stamp_ns
-        return stamp_ns
+            self.behind_ns = self._last + _LEAST_STEP_NS - stamp_ns
+        self._last = stamp_ns + self.behind_ns
+        return self._last
 
     def restart(self) -> None:
         """A new rollout begins: stamps may go back to the present once."""
-        self._last = None
+        self._last, self.behind_ns = None, 0

@@ -159,6 +159,7 @@ class DriverNode(Node):
         if not self.link.alive:
             raise TcbiError("the link's thread has ended by a fault of the driver; its traceback stands above")
         entries = status.statuses(self.link, self._refused, self._last_refusal)
+        entries.append(status.clock(1e-9 * max(self._joint_stamps.behind_ns, self._board_stamps.behind_ns)))
         topics = (names.JOINT_STATES, names.JOINT_COMMANDS)
         entries.append(status.graph({topic: self.count_publishers(topic) for topic in topics}))
         board = self.link.identity.name if self.link.identity else ""
@@ -199,9 +200,6 @@ class DriverNode(Node):
         except CommandRefused as error:
             response.success, response.message = False, str(error)
             return response
-        self._newest_command_s = 0.0
-        self._joint_stamps.restart()
-        self._board_stamps.restart()
         tolerance = self.parameters.posture_tolerance
 
         def start(done: Done) -> None:
@@ -212,7 +210,11 @@ class DriverNode(Node):
 
         success, text = await self._ask(start)
         response.success, response.message = success, text + not_settable(request)
-        response.stamp = messages.to_stamp(self._last_stamp)
+        if success:
+            self._newest_command_s = 0.0
+            self._joint_stamps.restart()
+            self._board_stamps.restart()
+        response.stamp = self.get_clock().now().to_msg()
         return response
 
 

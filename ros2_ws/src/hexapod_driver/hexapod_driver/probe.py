@@ -3,8 +3,9 @@
     for finding in probe(LinkSettings("/dev/rfcomm0", BAUD_RATE, "", SENSOR_BAUD_RATE, calibration.load(""))):
         print(finding.name, finding.found)
 
-Servos are pinged and read, never written to. Sensor samples are switched on for a moment and off again, which leaves
-the servos as they are; the board's watchdog keeps its default. So a limp robot stays limp.
+Servos are pinged and read, never written to. Sensor samples are switched on for a moment and off again; the board's
+watchdog keeps its default, and with two ports gives back the power that it has cut, without torque. So a limp robot
+stays limp.
 """
 
 import math
@@ -23,7 +24,6 @@ from tcbi_contract.names import JOINT_LIMIT, LEGS
 READ_S = 0.5
 SAMPLE_S = 1.0
 SAMPLE_RATE_HZ = 50
-WATCHDOG_MS = 500  # the board's own default
 HEALTH_BYTES = 8  # position, speed, load, voltage, temperature
 BEYOND_RAD = 0.1  # a joint this far outside its range cannot be calibrated right
 GRAVITY, GRAVITY_TOLERANCE = 9.81, 2.0  # m/s^2
@@ -65,6 +65,7 @@ def _board(identity: Identity) -> Check:
 
 def _servos(wire: Wire, settings: LinkSettings) -> Iterator[Check]:
     calibration = settings.calibration
+    startup.wake(wire, calibration)
     missing = startup.missing_joints(wire, calibration)
     if missing:
         yield Check("servos", FAULT, startup.absence(missing, calibration), startup.SERVO_REMEDY)
@@ -102,9 +103,9 @@ def _positions(packets: dict[str, Packet], settings: LinkSettings, asked: int) -
 
 
 def _sample(wire: Wire) -> Check:
-    wire.send_board(Kind.STREAM, sensor_board.stream_payload(SAMPLE_RATE_HZ, WATCHDOG_MS))
+    wire.send_board(Kind.STREAM, sensor_board.stream_payload(SAMPLE_RATE_HZ, startup.WATCHDOG_MS))
     frame = wire.ask_board(Kind.KEEP_ALIVE, b"", Kind.SAMPLE, SAMPLE_S)
-    wire.send_board(Kind.STREAM, sensor_board.stream_payload(0, WATCHDOG_MS))
+    wire.send_board(Kind.STREAM, sensor_board.stream_payload(0, startup.WATCHDOG_MS))
     if frame is None:
         return Check("sensors", FAULT, f"no sample within {SAMPLE_S:g} s", "restart the sensor board")
     try:

@@ -17,7 +17,7 @@ from hexapod_driver.posture import PostureMove
 from hexapod_driver.readings import BoardReading, Health, JointReading, Reading
 from hexapod_driver.sensor_board import FrameError, Kind
 from hexapod_driver.timer import Timer
-from hexapod_driver.wire import BoardFrame, BusReply, Wire
+from hexapod_driver.wire import KEEP_ALIVE_S, BoardFrame, BusReply, Wire
 from tcbi_contract.names import CONTROL_PERIOD_S, JOINTS, SENSOR_RATE_HZ
 from tcbi_contract.safety import CommandRefused, Mode, Move, Safety
 
@@ -25,7 +25,6 @@ POLL_S = 0.01
 READ_PERIOD_S = 1 / SENSOR_RATE_HZ
 HEALTH_PERIOD_S = 1.0
 TORQUE_CHECK_S = 0.5
-KEEP_ALIVE_S = 0.1
 STREAM_RETRY_S = 0.2
 STOP_CONFIRM_S = 0.5
 KNOWN_S = 1.0  # time that a reset has to learn where the joints are

@@ -1,5 +1,7 @@
 """The check before anything moves: is every servo and the sensor board there? One error names all that is missing."""
 
+import time
+
 from hexapod_driver import feetech, sensor_board
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.errors import StartupError
@@ -10,6 +12,8 @@ from hexapod_driver.wire import Wire
 
 ATTEMPTS = 3
 REPLY_S = 0.4
+BOOT_S = 1.0  # until servos that were without power answer
+WATCHDOG_MS = 500  # the board's own default
 SERVO_REMEDY = "check power, cables and the ids in the calibration"
 
 
@@ -21,10 +25,23 @@ def check(wire: Wire, calibration: Calibration) -> Identity:
     """
     identity = identify(wire)
     wire.submit(feetech.torque(calibration.servos, False))
+    wake(wire, calibration)
     missing = missing_joints(wire, calibration)
     if missing:
         raise StartupError(f"servos: {absence(missing, calibration)}; {SERVO_REMEDY} of {calibration.robot}")
     return identity
+
+
+def wake(wire: Wire, calibration: Calibration) -> None:
+    """Clear the board's watchdog, which with two ports has cut the servos' power; wait until the first servo answers.
+
+    The torque stays off: neither the board nor a servo that gets its power back puts it on. It takes no longer than
+    BOOT_S, also where no servo is there.
+    """
+    wire.send_board(Kind.STREAM, sensor_board.stream_payload(0, WATCHDOG_MS))
+    ping, deadline = _ping(calibration, next(iter(calibration.joints))), time.monotonic() + BOOT_S
+    while not wire.transact(ping, 1, REPLY_S) and time.monotonic() < deadline:
+        pass
 
 
 def absence(missing: list[str], calibration: Calibration) -> str:

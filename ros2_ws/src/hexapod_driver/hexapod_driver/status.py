@@ -10,6 +10,7 @@ from hexapod_driver.readings import Health
 from tcbi_contract.safety import Mode, Safety
 
 OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
+BEHIND_S = 0.05  # of a stamp: less is the jitter of the link
 HOT_C = 65  # an STS servo protects itself at 70 degrees
 
 
@@ -40,6 +41,19 @@ def graph(publishers: dict[str, int]) -> Status:
     return Status("graph", ERROR, f"{', '.join(crowded)}; two graphs share this ROS_DOMAIN_ID, end one of them")
 
 
+def clock(behind_s: float) -> Status:
+    """Whether stamps are those of the clock.
+
+    Args:
+      behind_s: by how much the newest stamps had to be raised so that none repeats or goes back.
+    """
+    values = {"stamps_raised_by_s": f"{behind_s:.3f}"}
+    if behind_s < BEHIND_S:
+        return Status("clock", OK, "stamps rise with the clock", values)
+    remedy = "its times are false until reset_episode; leave the clock alone, then record again"
+    return Status("clock", WARN, f"this computer's clock was set back by {behind_s:.2f} s; {remedy}", values)
+
+
 def _link(link: Link) -> Status:
     robot = link.robot
     values = {"port": link.settings.port, "reconnects": str(link.reconnects)}
@@ -67,8 +81,8 @@ def _servos(link: Link) -> Status:
     if robot is None:
         return Status("servos", ERROR, "not connected")
     health, calibration = robot.health, link.settings.calibration
-    faults = _servo_faults(health, calibration)
-    values = {"voltage_V": f"{min(health.voltage.values()):.1f}"} if health.voltage else {}
+    faults, voltage = _servo_faults(health, calibration), health.voltage  # one look: another thread replaces it
+    values = {"voltage_V": f"{min(voltage.values()):.1f}"} if voltage else {}
     for name, joint in calibration.joints.items():
         if joint.servo in health.temperature:
             values[f"temperature_C/{name}"] = str(health.temperature[joint.servo])

@@ -27,7 +27,9 @@ from hexapod_driver.errors import LinkLost
 from hexapod_driver.feetech import Packet
 from hexapod_driver.sensor_board import Frame, FrameStream, Kind
 from hexapod_driver.serial_port import SerialPort
+from hexapod_driver.timer import Timer
 
+KEEP_ALIVE_S = 0.1  # between two words to the board, whose watchdog else acts
 LONGEST_REPLY = 32  # LEN of the longest answer this driver asks a servo for
 
 
@@ -138,11 +140,14 @@ class Wire(ABC):
 
     def gather(self, tags: Collection[int], timeout_s: float) -> dict[int, tuple[Packet, ...]]:
         """Wait for the answers to several requests, by tag; none after `timeout_s`. Board frames wait their turn."""
-        deadline = time.monotonic() + timeout_s
+        now = time.monotonic()
+        deadline, alive = now + timeout_s, Timer(KEEP_ALIVE_S, now)
         kept: list[Event] = []
         found: dict[int, tuple[Packet, ...]] = {}
-        while len(found) < len(tags) and (left := deadline - time.monotonic()) > 0:
-            for event in self.poll(left):
+        while len(found) < len(tags) and (left := deadline - (now := time.monotonic())) > 0:
+            if alive.due(now):
+                self.send_board(Kind.KEEP_ALIVE)
+            for event in self.poll(min(left, alive.left(now))):
                 if not isinstance(event, BusReply):
                     kept.append(event)
                 elif event.tag in tags:

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from hexapod_driver import status
 from hexapod_driver.clock import BoardClock, RisingStamps
 
 SECOND = 1_000_000_000
@@ -67,6 +68,16 @@ def test_stamps_rise_whatever_comes():
     out = [stamps.next(s) for s in given]
     assert all(a < b for a, b in itertools.pairwise(out))
     assert (out[0], out[1], out[4]) == (10_000_000, 30_000_000, 50_000_000)
-    assert stamps.held_back == 2
     stamps.restart()
     assert stamps.next(5) == 5
+
+
+def test_stamps_after_a_clock_was_set_back_tell_by_how_much_they_are_raised_until_it_catches_up():
+    stamps = RisingStamps()
+    behind = []
+    for given in (10 * SECOND, 8 * SECOND, 9 * SECOND, 11 * SECOND):
+        stamps.next(given)
+        behind.append(stamps.behind_ns)
+    assert behind == pytest.approx([0, 2 * SECOND, 1 * SECOND, 0], abs=10_000)
+    assert status.clock(behind[2] * 1e-9).level == status.WARN
+    assert status.clock(0.001).level == status.OK

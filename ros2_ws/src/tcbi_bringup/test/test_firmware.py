@@ -215,6 +215,21 @@ def test_the_boards_watchdog_makes_the_servos_limp_and_says_so(body: StillBody):
     assert not any(body.torque)
 
 
+def test_with_two_ports_the_watchdog_cuts_the_servos_power_until_the_stream_is_asked_for(body: StillBody):
+    electronics = Electronics(body, calibration.load(""), ports=2)
+    electronics.receive(0, feetech.torque(range(1, 19), True))
+    ping = feetech.encode(1, feetech.Instruction.PING)
+    assert all(body.torque) and electronics.receive(0, ping)
+    body.time_s += 0.6
+    electronics.tick()
+    assert not any(body.torque) and not electronics.receive(0, ping)
+    electronics.receive(1, sensor_board.encode(Frame(Kind.STREAM, 0, sensor_board.stream_payload(0, 500))))
+    assert not electronics.receive(0, ping), "it starts"
+    body.time_s += 0.35
+    electronics.tick()
+    assert electronics.receive(0, ping) and not any(body.torque)
+
+
 def test_the_board_answers_nonsense_with_a_fault(body: StillBody):
     electronics = Electronics(body, calibration.load(""))
     for kind, payload in ((0x55, b""), (Kind.STREAM, b"\1")):

@@ -74,6 +74,7 @@ class Collector:
         self._rollout_id = ""
         self._hands_s = HANDS_S
         self._ground_as_it_is = False  # in the present collection
+        self._late_starts = 0  # in the present collection
         self._reset = node.create_client(ResetEpisode, names.RESET_EPISODE)
         self._place = node.create_client(ResetEpisode, names.PLACE_ROBOT)
         self._load = node.create_client(LoadPolicy, names.LOAD_POLICY)
@@ -99,7 +100,8 @@ class Collector:
         try:
             await self._collect(goal, bags)
             as_found = f"; nobody offers {names.PLACE_ROBOT}: {GROUND_AS_IT_IS}" if self._ground_as_it_is else ""
-            result.success, result.message = True, f"{counted(len(bags), 'rollout')} recorded{as_found}"
+            late = f"; in {self._late_starts} the policy came too late for its first tick" if self._late_starts else ""
+            result.success, result.message = True, f"{counted(len(bags), 'rollout')} recorded{late}{as_found}"
             goal.succeed()
         except CancelledError as error:
             result.message = str(error)
@@ -116,7 +118,7 @@ class Collector:
     async def _collect(self, goal: Any, bags: list[Path]) -> None:
         request = request_of(goal.request)
         check(request)
-        self._ground_as_it_is = False
+        self._ground_as_it_is, self._late_starts = False, 0
         folder = self._folder(request)
         before, policy_id = self.node.policy_id, ""
         try:
@@ -147,12 +149,12 @@ class Collector:
                 return await self._start(goal, request, index, folder)
             except LateStartError as error:
                 self.node.get_logger().warning(f"{error} ({started} of {STARTS} starts); it begins anew")
-        return await self._start(goal, request, index, folder, late=True)
+        return await self._start(goal, request, index, folder, last=True)
 
     async def _start(
-        self, goal: Any, request: Request, index: int, folder: RecordingFolder, late: bool = False
+        self, goal: Any, request: Request, index: int, folder: RecordingFolder, last: bool = False
     ) -> Path:
-        """Reset, record, end; `late` is whether the policy may come too late for its first tick."""
+        """Reset, record, end. The last start keeps a rollout whose policy comes too late, and says so in its END."""
         scenario = scenario_of(request, index)
         self._refuse_if_cancelled(goal)
         reset, placed = await self._reset_episode(scenario, request.model)
@@ -169,8 +171,9 @@ class Collector:
         try:
             if request.policy != NO_POLICY:
                 await self._set_policy(True)
-                if not (late or self.node.simulated_time):
-                    self._refuse_late_start(begin)
+                event.note = self._late(begin)
+                if event.note and not last:
+                    raise LateStartError(event.note)
             await self._act(goal, request, index, end)
             return await self._end(event, end, request)
         except LateStartError as error:
@@ -216,13 +219,16 @@ class Collector:
         node.recorder.end(end, time.monotonic())
         await Until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
         self._require_recording()
-        event.kind, event.note, event.policy_id = RolloutEvent.END, "", self._acting(request)
+        event.kind, event.policy_id = RolloutEvent.END, self._acting(request)
+        if event.note:
+            node.get_logger().warning(f"{event.rollout_id}: {event.note}; no repeat will be like it")
+            self._late_starts += 1
         event.header.stamp = messages.to_stamp(end)
         event.distance = await self._distance(request.distance_timeout_s or node.values.distance_timeout_s)
         bag = node.close(event, end)
-        node.events.publish(event)
         if bag is None:
             raise RecordingError(node.fault)
+        node.events.publish(event)
         return bag
 
     async def _abort(self, event: RolloutEvent, why: str, request: Request) -> None:
@@ -259,10 +265,12 @@ class Collector:
                 "policy_node says why"
             )
 
-    def _refuse_late_start(self, begin: int) -> None:
+    def _late(self, begin: int) -> str:
+        """By how much the policy came too late for its first tick, in words; "" if it did not."""
         late = self.node.get_clock().now().nanoseconds - begin
-        if late > 0:
-            raise LateStartError(f"the policy was switched on {late * 1e-6:.0f} ms after the rollout had begun")
+        if late <= 0 or self.node.simulated_time:
+            return ""
+        return f"the policy was switched on {late * 1e-6:.0f} ms after the rollout had begun"
 
     def _refuse_if_cancelled(self, goal: Any) -> None:
         if goal.is_cancel_requested:

@@ -22,6 +22,7 @@ from tcbi_bringup.emulated_robot.body import Body, BodyState
 MEMORY = 128
 FIRMWARE_VERSION = 1
 WATCHDOG_S = 0.5  # until a STREAM frame sets another
+BOOT_S = 0.3  # from power to a servo's first answer
 STREAM_PATIENCE_S = 5.0  # after so long without a word from the computer the board stops its samples
 _EEPROM = 40  # registers below cannot be written here
 _PRESENT = range(feetech.PRESENT_POSITION, 71)
@@ -161,6 +162,7 @@ class ServoBus:
         joints = calibration.joints.values()
         self._servos = {joint.servo: Servo(index, joint, present.body) for index, joint in enumerate(joints)}
         self._stream = PacketStream()
+        self._awake_s = 0.0  # on the body's clock
 
     def receive(self, data: bytes) -> bytes:
         """Bytes from the line -> what the servos answer."""
@@ -178,6 +180,16 @@ class ServoBus:
         """Torque off everywhere."""
         for servo in self._servos.values():
             servo.power_off_torque()
+
+    def cut_power(self) -> None:
+        """No servo does or answers anything until `restore_power`."""
+        self.power_off_torque()
+        self._awake_s = np.inf
+
+    def restore_power(self) -> None:
+        """The servos start, without torque."""
+        if self._awake_s == np.inf:
+            self._awake_s = self._present.state.time_s + BOOT_S
 
     def _answer(self, packet: Packet) -> bytes:
         now = self._present.state.time_s
@@ -207,6 +219,8 @@ class ServoBus:
                 servo.write(address, params[at + 1 : at + 1 + length], now)
 
     def _there(self, ids: Collection[int]) -> list[Servo]:
+        if self._present.state.time_s < self._awake_s:
+            return []
         return [self._servos[i] for i in ids if i in self._servos and i not in self.absent]
 
     def _reply(self, servo: Servo, params: bytes | None) -> bytes:
@@ -217,7 +231,7 @@ class SensorBoard:
     """The board with IMU and foot switches, which may carry the servo bus too.
 
     Args:
-      carries_bus: whether SERVO frames are forwarded; the watchdog acts on the servos either way.
+      carries_bus: whether SERVO frames are forwarded; else the watchdog has the servos' power to cut.
     """
 
     def __init__(self, present: Present, bus: ServoBus, carries_bus: bool, name: str = "emulated") -> None:
@@ -240,6 +254,7 @@ class SensorBoard:
         self._started = self._heard = self._present.state.time_s
         self._sequence = self._rate_hz = 0
         self._watchdog_s, self._tripped = WATCHDOG_S, False
+        self._bus.restore_power()
         self._stream = FrameStream()
 
     def tick(self) -> bytes:
@@ -248,7 +263,10 @@ class SensorBoard:
         silence = state.time_s - self._heard
         if silence > self._watchdog_s and not self._tripped:
             self._tripped = True
-            self._bus.power_off_torque()
+            if self._carries_bus:
+                self._bus.power_off_torque()
+            else:
+                self._bus.cut_power()
         if silence > STREAM_PATIENCE_S:
             self._rate_hz = 0
         if not self._rate_hz or state.time_s < self._next_sample:
@@ -294,6 +312,7 @@ class SensorBoard:
         if rate > 0 and not self._rate_hz:
             self._next_sample = state.time_s
         self._rate_hz, self._watchdog_s, self._tripped = rate, watchdog_ms / 1000, False
+        self._bus.restore_power()
 
     def _identify(self, state: BodyState) -> bytes:
         features = Feature.IMU | Feature.FOOT_SWITCHES
