@@ -1,13 +1,19 @@
 """The policy node and the retrain action in a running graph."""
 
+import dataclasses
 import time
+from collections.abc import Callable, Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -15,13 +21,26 @@ from trajectory_msgs.msg import JointTrajectory
 
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract import messages, names
+from tcbi_contract.errors import TcbiError
 from tcbi_msgs.action import Retrain
 from tcbi_msgs.msg import RolloutEvent
 from tcbi_msgs.srv import LoadPolicy
+from tcbi_policy import policy_node as policy_node_module
+from tcbi_policy import retrain_node as retrain_node_module
+from tcbi_policy.artefact import Policy, find_policy, save_policy
 from tcbi_policy.gaits import Gait
+from tcbi_policy.policy_node import PolicyNode
+from tcbi_policy.retrain_node import RetrainNode
 
 pytestmark = pytest.mark.graph
 MS = 1_000_000
+
+
+def wait_until(holds: Callable[[], bool], meanwhile: Callable[[], object] = lambda: time.sleep(0.01)) -> None:
+    deadline = time.monotonic() + 20.0
+    while not holds():
+        assert time.monotonic() < deadline, "did not come to hold within 20 s"
+        meanwhile()
 
 
 def nanoseconds(message: Any) -> int:
@@ -30,6 +49,15 @@ def nanoseconds(message: Any) -> int:
 
 def policy_node(**parameters: Any) -> NodeProcess:
     return NodeProcess("tcbi_policy", "policy_node", parameters=parameters)
+
+
+@pytest.fixture
+def own_process(domain: int, tmp_path: Any) -> Iterator[None]:
+    """For a node in the process of the test, which replaces a part of it."""
+    arguments = ["--ros-args", "-p", f"store:={tmp_path / 'store'}"]
+    rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    yield
+    rclpy.shutdown()
 
 
 def begin_rollout(peer: Any, task: str, duration: float, seed: int = 1) -> int:
@@ -145,10 +173,86 @@ def test_a_policy_that_does_not_exist_leaves_the_present_one(start_graph: Any, p
     assert answer.policy_id == "gait:stand"
 
 
+def test_a_policy_that_cannot_be_loaded_leaves_the_present_one_and_the_next_is_loaded(
+    start_graph: Any, peer: Any, tmp_path: Any
+) -> None:
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    layout = dataclasses.replace(shipped.card.layout, limit=None)  # type: ignore[arg-type]
+    outside = dataclasses.replace(shipped.card, name="../../outside")
+    cards = {"typeless": dataclasses.replace(shipped.card, layout=layout), "escaping": outside}
+    paths = [f"{tmp_path}/{name}.safetensors" for name in cards]
+    mlp = dataclasses.replace(shipped.mlp, weights=tuple(w / 2 for w in shipped.mlp.weights))  # not in the store yet
+    for path, card in zip(paths, cards.values(), strict=True):
+        save_policy(Path(path).with_suffix(""), mlp, card)
+    start_graph(policy_node(policy="gait:stand", store=str(tmp_path / "store")))
+    for path in (*paths, "~nouser/x.safetensors"):
+        answer = peer.call(names.LOAD_POLICY, LoadPolicy.Request(policy=path), LoadPolicy, 20.0)
+        assert not answer.success and path in answer.message
+        assert answer.policy_id == "gait:stand"
+    assert not list(tmp_path.rglob("outside*"))
+    assert peer.call(names.LOAD_POLICY, LoadPolicy.Request(policy="balance"), LoadPolicy).success
+
+
+def test_whatever_goes_wrong_in_reading_a_policy_is_told_to_whoever_awaits_it(
+    own_process: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = PolicyNode()
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("by accident")
+
+    monkeypatch.setattr(policy_node_module, "find_policy", broken)
+    future = node._read("mine")
+    wait_until(future.done)
+    assert isinstance(future.exception(), TcbiError)
+    assert str(future.exception()) == "policy mine: ZeroDivisionError: by accident"
+    node.destroy_node()
+
+
 def test_a_node_with_an_unknown_policy_ends_with_one_line(start_graph: Any) -> None:
     graph = start_graph(policy_node(policy="moonwalk"), wait=False)
     assert graph.wait_for_exit("policy_node", 40.0) == 1
     assert "moonwalk" in graph.tail("policy_node", 1)
+
+
+def test_a_process_that_cannot_stand_by_is_tried_again_later_and_told_once(
+    own_process: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    starts: list[float] = []
+
+    def no_memory() -> None:
+        starts.append(time.monotonic())
+        raise OSError(12, "Cannot allocate memory")
+
+    monkeypatch.setattr(retrain_node_module, "TrainingProcess", no_memory)
+    monkeypatch.setattr(retrain_node_module, "STAND_BY_AGAIN_S", 1.5)
+    node = RetrainNode()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    wait_until(lambda: len(starts) >= 3, lambda: executor.spin_once(0.1))
+    assert all(b - a >= 1.5 for a, b in pairwise(starts))
+    node.destroy_node()
+    said = capfd.readouterr().err
+    assert said.count("no process stands by") == said.count("Cannot allocate memory") == 1
+
+
+def test_a_training_gets_a_new_process_if_the_one_that_stood_by_has_died(own_process: None) -> None:
+    node = RetrainNode()
+    stood_by = node._waiting
+    assert stood_by is not None
+    stood_by.end()
+    with node._process() as process:
+        assert process is not stood_by and process.running
+    node.destroy_node()
+
+
+def test_a_training_gets_the_process_that_stands_by(own_process: None) -> None:
+    node = RetrainNode()
+    stood_by = node._waiting
+    with node._process() as process:
+        assert process is stood_by
+    node.destroy_node()
 
 
 @pytest.mark.slow

@@ -19,12 +19,21 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from tcbi_policy.entries import FILE_NAME, LIST, NAMES, NUMBER, OBJECT, TEXT, faults
 from tcbi_policy.errors import PolicyDamaged, PolicyError, PolicyNotFound
 from tcbi_policy.gaits import GAITS, Gait
+from tcbi_policy.layout import ENTRIES as LAYOUT_ENTRIES
 from tcbi_policy.layout import HEXAPOD, Layout, check_fit
 from tcbi_policy.mlp import Mlp
 
 CARD_FORMAT = 1
+CARD_ENTRIES = {
+    "name": FILE_NAME,  # under which the policy may be kept in a store
+    **dict.fromkeys(("task", "model", "parent", "created", "sha256"), TEXT),
+    **dict.fromkeys(("posterior", "libraries"), OBJECT),
+    "curve": LIST,
+}
+TRAINING_ENTRIES = {"effects": NAMES, "effect_share": NUMBER, "observation_noise": NUMBER}  # what retraining takes over
 SHIPPED = Path(__file__).parent / "policies"
 GAIT_PREFIX = "gait:"
 
@@ -72,17 +81,23 @@ class Card:
         """Read a card.
 
         Raises:
-          PolicyDamaged: it is not a card, of an unknown format, or lacks an entry.
+          PolicyDamaged: it is not a card, of an unknown format, lacks an entry, or has some that cannot be (all named).
         """
         try:
             data = json.loads(text)
             if data.pop("format") != CARD_FORMAT:
                 raise PolicyDamaged(f"card format is not {CARD_FORMAT}; it was written by another version of tcbi")
-            data["layout"] = Layout.from_json(data["layout"])
-            return Card(**data)
+            wrong = [
+                *faults(data, CARD_ENTRIES, "card"),
+                *faults(data["layout"], LAYOUT_ENTRIES, "card.layout"),
+                *faults(data.get("training", {}), TRAINING_ENTRIES, "card.training"),
+            ]
+            if wrong:
+                raise PolicyDamaged(f"{'; '.join(wrong)}; copy both files again")
+            return Card(**{**data, "layout": Layout.from_json(data["layout"])})
         except KeyError as e:
             raise PolicyDamaged(f"its card lacks {e}; copy both files again") from e
-        except (ValueError, TypeError, AttributeError) as e:
+        except (ValueError, TypeError, AttributeError, RecursionError) as e:
             raise PolicyDamaged(f"its card is none ({e}); copy both files again") from e
 
 
@@ -141,20 +156,20 @@ def load_policy(path: Path, robot: Layout = HEXAPOD) -> Policy:
       PolicyMisfit: it is for another robot.
     """
     card_path = path.with_suffix(".json")
-    for wanted in (path, card_path):
-        if not wanted.is_file():
-            raise PolicyNotFound(
-                f"{wanted} does not exist; a policy is a .safetensors file with its .json card beside it"
-            )
-    data = path.read_bytes()
     try:
+        for wanted in (path, card_path):
+            if not wanted.is_file():
+                raise PolicyNotFound(
+                    f"{wanted} does not exist; a policy is a .safetensors file with its .json card beside it"
+                )
+        data = path.read_bytes()
         card = Card.from_json(card_path.read_text())
         if hashlib.sha256(data).hexdigest() != card.sha256:
             raise PolicyDamaged("the weights are not those that the card describes; copy both files again")
         check_fit(card.name, card.layout, robot)
         policy = Policy(Mlp.from_tensors(load(data), card.layout.limit), card, path)
         _check_shape(policy)
-    except (SafetensorError, UnicodeDecodeError, PolicyDamaged) as e:
+    except (OSError, SafetensorError, UnicodeDecodeError, PolicyDamaged) as e:
         raise PolicyDamaged(f"{path}: {e}") from e
     return policy
 
@@ -207,7 +222,7 @@ def find_policy(reference: str, store_root: Path | None = None, robot: Layout = 
         check_fit(reference, HEXAPOD, robot)
         return Gait(reference.removeprefix(GAIT_PREFIX))
     if reference.endswith(".safetensors") or "/" in reference:
-        return load_policy(Path(reference).expanduser(), robot)
+        return load_policy(Path(os.path.expanduser(reference)), robot)  # leaves an unknown user's "~" as it is
     paths = policy_paths(store_root)
     if reference not in paths:
         raise PolicyNotFound(

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from tcbi_contract.names import CONTROL_RATE_HZ, JOINT_LIMIT, JOINTS
+from tcbi_policy.entries import NAMES, POSITIVE, TEXT
 from tcbi_policy.errors import PolicyMisfit
 
 ATTITUDE_NAMES = ("roll", "pitch", "yaw_since_start")
+ENTRIES = {"observation": NAMES, "action": NAMES, "limit": POSITIVE, "rate_hz": POSITIVE, "unit": TEXT}  # in a card
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Layout:
 
     @staticmethod
     def from_json(data: dict) -> "Layout":
-        """The layout that a card holds."""
+        """The layout that a card holds, whose entries are of the kinds in ENTRIES."""
         known = {key: data[key] for key in ("limit", "rate_hz", "unit")}
         return Layout(tuple(data["observation"]), tuple(data["action"]), **known)
 

@@ -32,11 +32,11 @@ class Mlp:
 
     def __post_init__(self) -> None:
         faults = []
-        width = len(self.observation_scale)
+        width = self.observation_scale.shape
         for k, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
-            if w.ndim != 2 or w.shape[1] != width or b.shape != (w.shape[0],):
-                faults.append(f"layer {k} maps {w.shape} + {b.shape}, expected (n, {width}) + (n,)")
-            width = w.shape[0]
+            if w.ndim != 2 or w.shape[1:] != width or b.shape != w.shape[:1]:
+                faults.append(f"layer {k} has shapes {w.shape} and {b.shape}, which do not follow from {width}")
+            width = w.shape[:1]
             if not (np.isfinite(w).all() and np.isfinite(b).all()):
                 faults.append(f"layer {k} holds values that are not finite")
         if faults:

@@ -207,10 +207,10 @@ class PolicyNode(Node):
         def read() -> None:
             try:
                 future.set_result(self._find(reference))
-            except (TcbiError, OSError) as error:
-                future.set_exception(
-                    error if isinstance(error, TcbiError) else TcbiError(f"policy {reference}: {error}")
-                )
+            except TcbiError as error:
+                future.set_exception(error)
+            except Exception as error:  # noqa: BLE001 - whoever awaits must be answered, or no other load ever begins
+                future.set_exception(TcbiError(f"policy {reference}: {type(error).__name__}: {error}"))
 
         threading.Thread(target=read, daemon=True).start()
         return future

@@ -26,7 +26,8 @@ from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
 SWAP_TIMEOUT_S = 5.0
-STAND_BY_AGAIN_S = 60.0  # after a training: just then the robot tries the new policy, and has no processor to spare
+# after a training: just then the robot tries the new policy, and has no processor to spare; or after a failed start
+STAND_BY_AGAIN_S = 60.0
 ENDING_S, ENDING_POLL_S = 4.0, 0.1  # for a training to end with the node
 
 
@@ -50,8 +51,9 @@ class RetrainNode(Node):
         self._busy = self._closing = False
         self._in_use = ""
         self._state: dict[str, Any] = {"state": "idle"}
-        self._waiting: TrainingProcess | None = TrainingProcess() if self.values.stand_by else None
-        self._ended_s = math.inf  # of the last training, on the steady clock
+        self._waiting: TrainingProcess | None = None
+        self._stand_by_from_s = 0.0  # on the steady clock
+        self._stand_by()
         training, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
         self.create_subscription(
@@ -90,24 +92,35 @@ class RetrainNode(Node):
                 self._process,
             )
             self._finish(handle, result, outcome, job)
-        except (TcbiError, OSError) as error:  # OSError: a full disk
+        except (TcbiError, OSError) as error:  # OSError: a full disk, no memory for the process
             result.message = str(error)
             self.get_logger().error(result.message)
             handle.abort()
         finally:
-            self._busy, self._ended_s = False, time.monotonic()
+            self._stand_by_from_s = time.monotonic() + STAND_BY_AGAIN_S
+            self._busy = False
             self._state = {"state": "idle", "last": result.message}
         return result
 
-    def _stand_by_again(self) -> None:
-        rested = time.monotonic() > self._ended_s + STAND_BY_AGAIN_S
-        if self.values.stand_by and self._waiting is None and rested and not (self._busy or self._closing):
+    def _stand_by(self) -> None:
+        """Have a process stand by where one is wanted and none does; one that cannot be started is tried again."""
+        rested = time.monotonic() >= self._stand_by_from_s
+        if not (self.values.stand_by and self._waiting is None and rested) or self._busy or self._closing:
+            return
+        try:
             self._waiting = TrainingProcess()
+        except OSError as error:
+            self._stand_by_from_s = time.monotonic() + STAND_BY_AGAIN_S
+            self.get_logger().warning(f"no process stands by, trainings begin later: {error}", once=True)
 
     def _process(self) -> TrainingProcess:
-        """The process that stands by, or a new one."""
-        process, self._waiting = self._waiting or TrainingProcess(), None
-        return process
+        """The process that stands by, or a new one if none does or it has died."""
+        process, self._waiting = self._waiting, None
+        if process is not None and process.running:
+            return process
+        if process is not None:
+            process.close()
+        return TrainingProcess()
 
     def destroy_node(self) -> None:
         """End the training and the process that stands by, then the node; the training goes on when asked for again."""
@@ -166,7 +179,7 @@ class RetrainNode(Node):
         return f"now in use as {response.policy_id}" if response.success else f"kept as {reference}: {response.message}"
 
     def _diagnose(self) -> None:
-        self._stand_by_again()
+        self._stand_by()
         status = DiagnosticStatus(level=DiagnosticStatus.OK, name="retrain_node", message=str(self._state["state"]))
         status.values = [KeyValue(key=key, value=str(value)) for key, value in self._state.items() if key != "state"]
         array = DiagnosticArray(status=[status])

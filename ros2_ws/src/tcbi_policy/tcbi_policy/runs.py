@@ -128,6 +128,11 @@ class TrainingProcess:
         """Process id."""
         return self._process.pid
 
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
     def poll(self, timeout_s: float) -> tuple[dict[str, Any] | None, bool]:
         """The next event if one comes within the time, and whether the process has closed its output."""
         try:

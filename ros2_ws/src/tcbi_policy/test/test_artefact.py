@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from tcbi_policy.artefact import Card, find_policy, load_policy, policy_paths, save_policy
-from tcbi_policy.errors import PolicyDamaged, PolicyMisfit, PolicyNotFound
+from tcbi_policy.errors import PolicyDamaged, PolicyError, PolicyMisfit, PolicyNotFound
 from tcbi_policy.layout import HEXAPOD, robot_layout
 from tcbi_policy.mlp import Mlp
 
@@ -96,12 +96,90 @@ def test_weights_of_another_card_are_refused(tmp_path: Path) -> None:
         load_policy(path)
 
 
-@pytest.mark.parametrize("damage", ["{}", "not json", '{"format": 99}', "[]"])
+@pytest.mark.parametrize("damage", ["{}", "not json", '{"format": 99}', "[]", "[" * 100_000])
 def test_a_damaged_card_is_named(tmp_path: Path, damage: str) -> None:
     path = saved(tmp_path)
     path.with_suffix(".json").write_text(damage)
     with pytest.raises(PolicyDamaged, match=r"level\.safetensors"):
         load_policy(path)
+
+
+def rewritten(folder: Path, part: str, **entries: object) -> Path:
+    """A policy whose card holds other entries: in its `layout`, its `training`, or ("") itself."""
+    path = saved(folder)
+    card = json.loads(path.with_suffix(".json").read_text())
+    (card[part] if part else card).update(entries)
+    path.with_suffix(".json").write_text(json.dumps(card))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("part", "entry", "value"),
+    [
+        *(("layout", entry, value) for entry in ("limit", "rate_hz") for value in (
+            None, "0.5", True, float("nan"), float("inf"), 0.0, -0.5
+        )),
+        *(("layout", entry, value) for entry in ("observation", "action") for value in (
+            None, "roll", [1], [["roll"]], ["roll", "roll"]
+        )),
+        pytest.param("layout", "limit", 10**400, id="layout-limit-beyond every float"),
+        ("layout", "unit", None),
+        *(("", entry, 7) for entry in ("name", "task", "layout", "model", "parent", "created", "sha256")),
+        *(("", entry, None) for entry in ("layout", "posterior", "training", "curve", "libraries")),
+        *(("training", "effects", value) for value in (None, "wind", [None])),
+        *(("training", entry, value) for entry in ("observation_noise", "effect_share") for value in (
+            None, "0.1", float("nan")
+        )),
+    ],
+)  # fmt: skip
+def test_a_card_whose_entry_cannot_be_is_refused_in_one_line(
+    tmp_path: Path, part: str, entry: str, value: object
+) -> None:
+    with pytest.raises(PolicyDamaged) as refused:
+        load_policy(rewritten(tmp_path, part, **{entry: value}))
+    said = str(refused.value)
+    assert f"level.safetensors: card.{f'{part}.' if part else ''}{entry}: got " in said
+    assert "allowed is" in said and "\n" not in said
+
+
+def test_all_faults_of_a_card_are_named_at_once(tmp_path: Path) -> None:
+    with pytest.raises(PolicyDamaged, match=r"card\.layout\.limit: got None.*; card\.layout\.unit: got 3.*; copy both"):
+        load_policy(rewritten(tmp_path, "layout", limit=None, unit=3))
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../../x", "/x", "a/b", "a/", "a\n", "a\0", "\ud800"])
+def test_a_policy_whose_name_is_no_plain_file_name_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(PolicyDamaged, match=r"card\.name: got .*, allowed is a plain file name"):
+        load_policy(rewritten(tmp_path, "", name=name))
+
+
+@pytest.mark.parametrize("name", ["balance-1", "v1.2", "my policy", "läuft"])
+def test_a_plain_file_name_is_a_policys_name(tmp_path: Path, name: str) -> None:
+    assert load_policy(rewritten(tmp_path, "", name=name)).card.name == name
+
+
+def test_the_folder_of_an_unknown_user_holds_no_policy() -> None:
+    with pytest.raises(PolicyNotFound, match=r"~nouser/x\.safetensors does not exist"):
+        find_policy("~nouser/x.safetensors")
+
+
+@pytest.mark.parametrize("step", ["is_file", "read_bytes", "read_text"])
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    path = saved(tmp_path)
+
+    def denied(self: Path) -> bytes:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, step, denied)
+    with pytest.raises(PolicyError, match=r"level\.safetensors: .*Permission denied"):
+        load_policy(path)
+
+
+@pytest.mark.parametrize("name", ["observation_scale", "layer0.weight", "layer2.bias"])
+def test_an_array_without_axes_is_refused(tmp_path: Path, name: str) -> None:
+    tensors = network().tensors() | {name: np.zeros((), np.float32)}
+    with pytest.raises(PolicyDamaged, match=r"layer [02] has shapes"):
+        Mlp.from_tensors(tensors, HEXAPOD.limit)
 
 
 def test_a_network_of_the_wrong_size_is_refused(tmp_path: Path) -> None:
