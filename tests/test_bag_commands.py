@@ -23,14 +23,20 @@ def log(folder: Path, name: str = "run_1.json") -> Path:
     return path
 
 
-def bag(folder: Path) -> Path:
+def bag(folder: Path, name: str = "swing") -> Path:
     time = np.arange(500) * 0.005
     commands = Commands(np.array([0.0]), np.zeros((1, 1)), 0.0)
     scenario = Scenario("log", float(time[-1]))
     made = Measurement(
-        "swing", "servo_bench", scenario, "", "bench", commands, ("servo",), (), time, np.sin(time)[:, None]
+        name, "servo_bench", scenario, "", "bench", commands, ("servo",), (), time, np.sin(time)[:, None]
     )
     return write_measurement(folder, made)
+
+
+def cut(bag: Path) -> Path:
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
+    return bag
 
 
 def test_import_writes_a_bag_a_log_and_tells_it_as_json(tmp_path, capsys):
@@ -53,15 +59,45 @@ def test_a_bad_log_among_good_ones_leaves_nothing_behind(tmp_path, capsys):
 
 def test_recover_repairs_and_says_what_was_saved(tmp_path, capsys):
     path = bag(tmp_path)
-    file = path / "swing_0.mcap"
-    file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
+    cut(path)
     assert cli.main(["recover", str(path), "--json"]) == 0
     (told,) = json.loads(capsys.readouterr().out)["bags"]
-    assert told["repaired"] and told["bag"] == str(path) and Path(told["original"]).is_dir()
+    assert told["error"] is None and told["repaired"] and told["bag"] == str(path) and Path(told["original"]).is_dir()
     assert told["messages"] == sum(told["topics"].values()) > 100
     assert told["seconds"] == pytest.approx(read_measurement(path).time[-1], abs=0.01)
     assert cli.main(["recover", str(path)]) == 0
     assert "nothing to repair" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_recover_tells_of_every_bag_and_fails_if_one_cannot_be_repaired(tmp_path, capsys, as_json):
+    first, last = cut(bag(tmp_path, "a")), cut(bag(tmp_path, "c"))
+    (tmp_path / "b.mcap").write_bytes(b"\x89MCAP0\r\n")
+    options = ["--json"] if as_json else []
+    assert cli.main(["recover", *map(str, sorted(tmp_path.iterdir())), *options]) == 1
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1 and "b.mcap: not one message can be read" in captured.err
+    assert (tmp_path / "a.damaged").is_dir() and (tmp_path / "c.damaged").is_dir()
+    if as_json:
+        told = json.loads(captured.out)["bags"]
+        assert [(b["bag"], b["repaired"]) for b in told] == [
+            (str(first), True), (str(tmp_path / "b.mcap"), False), (str(last), True),
+        ]  # fmt: skip
+        assert [b["error"] is None for b in told] == [True, False, True] and "not one" in told[1]["error"]
+    else:
+        assert captured.out.count("the original is kept as") == 2
+
+
+def test_recover_leaves_the_originals_of_earlier_repairs_alone(tmp_path, capsys):
+    assert cli.main(["recover", str(cut(bag(tmp_path)))]) == 0
+    capsys.readouterr()
+    assert cli.main(["recover", *map(str, sorted(tmp_path.iterdir()))]) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert "swing.damaged is left out: it is the damaged original that a repair kept" in told[0]
+    assert "nothing to repair" in told[1]
+    assert cli.main(["recover", str(tmp_path / "swing.damaged")]) == 1
+    assert "rename it first" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["swing", "swing.damaged"]
 
 
 @pytest.mark.parametrize("command", ["recover", "replay"])

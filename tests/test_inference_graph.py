@@ -1,5 +1,7 @@
 """The inference node in a graph: from finished bags to posterior, error, training, new effects and a diagnosis."""
 
+import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +40,16 @@ def write_rollouts(folder: Path, first: int, count: int) -> list[str]:
     return ids
 
 
+def cut_off(bag: Path) -> None:
+    """As a full disk left it a minute ago: no metadata, no index."""
+    (bag / "metadata.yaml").unlink()
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
+    then = time.time() - 60.0
+    for path in (file, bag):
+        os.utime(path, (then, then))
+
+
 @pytest.fixture
 def node(tmp_path: Path) -> NodeProcess:
     values = {
@@ -67,8 +79,9 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
         handle.succeed()
         return Retrain.Result(success=True, message="trained")
 
-    write_rollouts(tmp_path / "bags", 0, 6)
-    start_graph(node)
+    ids = write_rollouts(tmp_path / "bags", 0, 6)
+    cut_off(tmp_path / "bags" / ids[0])
+    graph = start_graph(node)
     posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
     running = peer.collect(names.POSTERIOR_PROGRESS, Posterior, messages.STREAM_QOS)
     errors = peer.collect(names.MODEL_ERROR, ModelError, messages.LATCHED_QOS)
@@ -95,6 +108,9 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
     # of the first inference they may be missed: nothing is kept for who listens later
     assert running and {m.generation for m in running} == {1}
     assert not any(m.converged or len(m.particles) for m in running)
+    assert ids[0] in first.source_rollouts and ids[0] in posteriors[-1].source_rollouts
+    damaged = [line for line in graph.tail("inference_node", 1000).splitlines() if "is damaged" in line]
+    assert len(damaged) == 1 and ids[0] in damaged[0], "each bag's damage is said once, not at each inference"
     server.destroy()
 
 

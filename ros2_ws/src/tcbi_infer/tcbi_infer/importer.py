@@ -12,6 +12,7 @@ import gzip
 import io
 import json
 import math
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -131,13 +132,16 @@ def _parse(path: Path, entries: str) -> tuple[Table, dict[str, Any]]:
     try:
         raw = path.read_bytes()
         text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig")
-    except (OSError, EOFError, UnicodeDecodeError) as e:
-        raise MappingError(f"{path}: cannot be read ({e})") from e
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error) as e:
+        raise MappingError(f"{path}: cannot be read ({e}); record or copy it again") from e
     kind = path.name.removesuffix(".gz").rpartition(".")[2]
     if kind == "json":
         return _parse_json(path, text, entries)
     if kind == "csv":
-        rows = list(csv.reader(io.StringIO(text)))
+        try:
+            rows = list(csv.reader(io.StringIO(text)))
+        except csv.Error as e:
+            raise MappingError(f"{path}: is no CSV ({e}); record or copy it again") from e
         if not rows:
             raise MappingError(f"{path}: is empty")
         width = len(rows[0])
@@ -149,7 +153,7 @@ def _parse(path: Path, entries: str) -> tuple[Table, dict[str, Any]]:
 def _parse_json(path: Path, text: str, entries: str) -> tuple[Table, dict[str, Any]]:
     try:
         content = json.loads(text)
-    except ValueError as e:
+    except (ValueError, RecursionError) as e:
         raise MappingError(f"{path}: is no JSON ({e})") from e
     samples = content if isinstance(content, list) else content.get(entries) if isinstance(content, dict) else None
     if not isinstance(samples, list) or not samples or not all(isinstance(s, dict) for s in samples):
@@ -185,7 +189,7 @@ def _rows(tables: _Tables, signal: Signal, mapping: Mapping) -> np.ndarray:
 def _numbers(tables: _Tables, signal: Signal, name: str) -> np.ndarray:
     try:
         return np.array([_number(value) for value in tables.column(signal, name)], float)
-    except (TypeError, ValueError) as e:
+    except (TypeError, ValueError, OverflowError) as e:
         raise MappingError(f"{tables.log}: column {name!r} holds something that is no number ({e})") from e
 
 
@@ -205,7 +209,7 @@ def _lists(tables: _Tables, signal: Signal, least: int) -> np.ndarray:
         try:
             values = json.loads(value) if isinstance(value, str) else value
             found.append([_number(v) for v in values])
-        except (TypeError, ValueError) as e:
+        except (TypeError, ValueError, OverflowError, RecursionError) as e:
             raise MappingError(f"{tables.log}: sample {row} of {name!r} is no list of numbers: {value!r}") from e
     widths = sorted({len(values) for values in found})
     if len(widths) != 1 or widths[0] < least:

@@ -86,6 +86,7 @@ class InferenceNode(Node):
         self._wanted = False  # an inference is due whatever the number of rollouts
         self._trained_on = self._store.load(self._model).version
         self._news: dict[str, Any] = {}
+        self._warned: set[str] = set()  # each inference reads all bags again and says the same of them
         self._state, self._fault = "waiting for rollouts", ""
         self._training = self._diagnosing = self._closing = False
         self._wish: Retrain.Goal | None = None  # for a training; a later one takes its place
@@ -151,7 +152,7 @@ class InferenceNode(Node):
         if kind == "progress":
             self._state = f"inferring, {event['stage']}, {number(event['remaining_s']):.0f} s left"
         elif kind == "warning":
-            self.get_logger().warning(event["message"])
+            self._warn(event["message"])
         elif kind == "generation":
             self._running.publish(posterior_message(event, stamp))
         elif kind == "posterior":
@@ -165,6 +166,12 @@ class InferenceNode(Node):
             self._error.publish(model_error_message(event, stamp))
         else:
             self._end(kind, event)
+
+    def _warn(self, message: str) -> None:
+        """Log a worker's warning, unless it was logged before."""
+        if message not in self._warned:
+            self._warned.add(message)
+            self.get_logger().warning(message)
 
     def _end(self, kind: str, event: dict[str, Any]) -> None:
         assert self._worker is not None
@@ -300,7 +307,7 @@ class InferenceNode(Node):
                 Diagnose.Feedback(stage=event["stage"], fraction=float(event["share"]), remaining_s=remaining)
             )
         elif kind == "warning":
-            self.get_logger().warning(event["message"])
+            self._warn(event["message"])
         elif kind == "diagnosis":
             result.diagnosis = diagnosis_message(event, self.get_clock().now().to_msg())
             result.message = result.diagnosis.statement

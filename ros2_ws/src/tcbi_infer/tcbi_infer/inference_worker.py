@@ -65,6 +65,8 @@ class Job:
 def usable(bags: Sequence[str], emit: Emit, rig: str | None = None) -> list[Measurement]:
     """Rollouts of the bags that can be read, of one rig; of each other bag a warning: one must not stop the rest.
 
+    What a reader had to say of a rollout is a warning too.
+
     Raises:
       BagError: there is none.
     """
@@ -74,12 +76,15 @@ def usable(bags: Sequence[str], emit: Emit, rig: str | None = None) -> list[Meas
         try:
             for measurement in read_measurements([bag], rig or next((m.rig for m in found.values()), None)):
                 found.setdefault(measurement.rollout_id, measurement)
-        except BagError as e:
+        except (BagError, OSError) as e:
             faults.append(" ".join(str(e).split()))
     if bags and not found:
         raise BagError(f"none of {counted(len(bags), 'bag')} can be used; the last: {faults[-1]}")
     for fault in faults:
         emit("warning", message=f"left out: {fault}")
+    for measurement in found.values():
+        for note in measurement.notes:
+            emit("warning", message=f"{measurement.rollout_id}: {note}")
     return list(found.values())
 
 

@@ -107,9 +107,8 @@ class _Checker:
             self.faults.append(f"joints: got {joints!r}, allowed is a list of names")
             joints = ["joint"]
         time = self._section("time", {"column", "unit"})
-        unit = time.get("unit", "s")
-        if unit not in TIME_UNITS:
-            self.faults.append(f"time.unit: got {unit!r}, allowed is one of {', '.join(TIME_UNITS)}")
+        time_column = self._name("column", time, "time.column", "time")
+        time_scale = self._unit(time, "time.unit", "s", TIME_UNITS)
         position = self._signal("position", len(joints)) or Signal(("position",))
         if "position" not in c:
             self.faults.append("the section [position] is missing")
@@ -126,8 +125,8 @@ class _Checker:
             torque_on=self._signal("torque_on", 1),
             torque_commands=kind == "torque",
             ramp=self._not_negative("ramp", commanded, "command.ramp"),
-            time_column=str(time.get("column", "time")),
-            time_scale=TIME_UNITS.get(unit, 1.0),
+            time_column=time_column,
+            time_scale=time_scale,
             entries=self._text("entries", "entries"),
             task=self._text("task", "log"),
             source=self._text("source", "log"),
@@ -162,25 +161,46 @@ class _Checker:
             return None
         section = self._section(key, SIGNAL | (more or set()))
         columns = section.get("columns", [section["column"]] if "column" in section else [])
-        listed = bool(section.get("list", False))
+        listed = section.get("list", False)
+        if not isinstance(listed, bool):
+            self.faults.append(f"{key}.list: got {listed!r}, allowed is true or false")
+            listed = False
         expected = 1 if listed else joints
-        if not isinstance(columns, list) or len(columns) != expected:
-            self.faults.append(f"{key}.columns: got {columns!r}, allowed is a list of {expected}")
+        if not isinstance(columns, list) or len(columns) != expected or not all(isinstance(c, str) for c in columns):
+            self.faults.append(f"{key}.columns: got {columns!r}, allowed is a list of {expected} names")
             columns = [""] * expected
-        unit = section.get("unit", "rad")
-        if unit not in UNITS:
-            self.faults.append(f"{key}.unit: got {unit!r}, allowed is one of {', '.join(UNITS)}")
         scale = self._factor(section.get("scale", 1.0), f"{key}.scale", joints)
-        factor = UNITS.get(unit, 1.0)
+        factor = self._unit(section, f"{key}.unit", "rad", UNITS)
         return Signal(
-            columns=tuple(str(c) for c in columns),
-            file=str(section.get("file", "")),
-            time=str(section.get("time", "")),
+            columns=tuple(columns),
+            file=self._name("file", section, f"{key}.file"),
+            time=self._name("time", section, f"{key}.time"),
             listed=listed,
-            pick=tuple(int(i) for i in section.get("pick", ())),
+            pick=self._pick(section, f"{key}.pick"),
             scale=tuple(s * factor for s in scale) if isinstance(scale, tuple) else scale * factor,
             offset=self._factor(section.get("offset", 0.0), f"{key}.offset", joints),
         )
+
+    def _name(self, key: str, section: dict[str, Any], what: str, default: str = "") -> str:
+        value = section.get(key, default)
+        if isinstance(value, str):
+            return value
+        self.faults.append(f"{what}: got {value!r}, allowed is a name")
+        return default
+
+    def _unit(self, section: dict[str, Any], what: str, default: str, units: dict[str, float]) -> float:
+        value = section.get("unit", default)
+        if isinstance(value, str) and value in units:
+            return units[value]
+        self.faults.append(f"{what}: got {value!r}, allowed is one of {', '.join(units)}")
+        return 1.0
+
+    def _pick(self, section: dict[str, Any], what: str) -> tuple[int, ...]:
+        value = section.get("pick", [])
+        if isinstance(value, list) and all(type(i) is int and i >= 0 for i in value):
+            return tuple(value)
+        self.faults.append(f"{what}: got {value!r}, allowed is a list of places, the first of them 0")
+        return ()
 
     def _factor(self, value: Any, what: str, joints: int) -> tuple[float, ...] | float:
         if isinstance(value, (int, float)):
@@ -223,6 +243,6 @@ class _Checker:
                 self.faults.append(f"readings.{key}: got {value!r}, allowed is a column, or column, file, time, scale")
             else:
                 scale = self._factor(where.get("scale", 1.0), f"readings.{key}.scale", 1)
-                file, time = str(where.get("file", "")), str(where.get("time", ""))
-                found.append((key, Signal((str(where["column"]),), file, time, scale=scale)))
+                column, file, time = (self._name(k, where, f"readings.{key}.{k}") for k in ("column", "file", "time"))
+                found.append((key, Signal((column,), file, time, scale=scale)))
         return tuple(found)

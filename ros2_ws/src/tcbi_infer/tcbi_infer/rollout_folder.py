@@ -1,10 +1,13 @@
 """Finished bags of a folder as they appear, and which of them are kept out of every fit."""
 
+import contextlib
+import time
 from pathlib import Path
 
-from tcbi_infer.bags.files import bag_name, find_bags
+from tcbi_infer.bags.files import bag_name, bags_in
 from tcbi_infer.bags.writer import UNFINISHED
-from tcbi_infer.errors import BagError
+
+QUIET_S = 10.0  # without a change, until a bag that has no metadata counts as finished
 
 
 class RolloutFolder:
@@ -16,16 +19,13 @@ class RolloutFolder:
 
     def look(self) -> int:
         """Take note of bags that were finished since; returns how many."""
-        if not self.path.is_dir():
-            return 0
-        try:
-            found = find_bags([self.path])
-        except BagError:  # none yet
-            return 0
-        fresh = [bag for bag in found if bag not in self.bags and bag.suffix != UNFINISHED]
-        fresh = [bag for bag in fresh if bag.is_file() or (bag / "metadata.yaml").is_file()]
-        fresh.sort(key=lambda bag: (bag.stat().st_mtime, bag_name(bag)))
-        self.bags += fresh
+        fresh: list[tuple[float, str, Path]] = []
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):  # no folder yet, or no more
+            for bag in bags_in(self.path):
+                with contextlib.suppress(FileNotFoundError):  # renamed or removed meanwhile
+                    if bag not in self.bags and bag.suffix != UNFINISHED and _finished(bag):
+                        fresh.append((bag.stat().st_mtime, bag_name(bag), bag))
+        self.bags += [bag for _, _, bag in sorted(fresh)]
         return len(fresh)
 
     @property
@@ -38,3 +38,11 @@ class RolloutFolder:
         """For fitting."""
         apart = set(self.held_out)
         return [bag for bag in self.bags if bag not in apart]
+
+
+def _finished(bag: Path) -> bool:
+    """Whether a bag has its metadata, or, as after a full disk, none and nobody writes to it."""
+    if (bag / "metadata.yaml").is_file():
+        return True
+    changed = max(path.stat().st_mtime for path in (bag, *bag.glob("*")))
+    return time.time() - changed > QUIET_S

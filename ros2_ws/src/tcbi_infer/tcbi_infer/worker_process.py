@@ -41,6 +41,7 @@ class Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            errors="replace",
         )
         os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
         assert self._process.stdin is not None
@@ -54,7 +55,10 @@ class Worker:
         ended = False
         with self._process.stdout as lines:
             for line in lines:
-                event = json.loads(line)
+                event = _event(line)
+                if event is None:  # a library wrote to standard output
+                    sys.stderr.write(line)
+                    continue
                 ended = event["event"] in ("done", "failed")
                 self._events.put(event)
         status = self._process.wait()
@@ -79,6 +83,15 @@ class Worker:
                 self._process.kill()
                 self._process.wait()
         self._reader.join(STOP_TIMEOUT_S)
+
+
+def _event(line: str) -> dict[str, Any] | None:
+    """The event of a line; None where it holds none."""
+    try:
+        event = json.loads(line)
+    except ValueError:
+        return None
+    return event if isinstance(event, dict) and "event" in event else None
 
 
 def serve(run: Callable[[str, Emit], None]) -> int:

@@ -1,10 +1,13 @@
 """A recording that was cut anywhere gives back every complete chunk."""
 
+import struct
+
 import numpy as np
 import pytest
 from bag_cases import differences, rollout
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -88,6 +91,38 @@ def test_a_damaged_chunk_costs_that_chunk_alone(tmp_path, intact, chunk_ends):
     assert len(scan.damage) == 1 and "damaged" in scan.damage[0]
 
 
+def fourth_chunk(intact: bytes, chunk_ends: list[tuple[int, int]]) -> int:
+    """Its first byte; behind the third one lies that one's index."""
+    at = chunk_ends[3][0]
+    while intact[at] != Opcode.CHUNK:
+        at += 9 + int.from_bytes(intact[at + 1 : at + 9], "little")
+    return at
+
+
+@pytest.mark.parametrize(("byte", "value"), [(7, 0x80), (7, 0xFF), (7, 0x40), (4, 0x02)])
+def test_a_wrong_size_in_a_chunks_header_costs_that_chunk_alone(tmp_path, intact, chunk_ends, byte, value):
+    (_, before), (_, after) = chunk_ends[3], chunk_ends[4]
+    data = bytearray(intact)
+    data[fourth_chunk(intact, chunk_ends) + 9 + 16 + byte] = value  # of `uncompressed_size`
+    path = tmp_path / "x.mcap"
+    path.write_bytes(data)
+    recovery = recover(path)
+    assert recovery.messages == chunk_ends[-1][1] - (after - before)
+    assert len(recovery.damage) == 1 and "at most 4294967296 are allowed" in recovery.damage[0]
+
+
+def test_a_chunk_that_asks_for_more_than_the_memory_costs_that_chunk_alone(tmp_path, intact, chunk_ends):
+    (end, count), start = chunk_ends[4], fourth_chunk(intact, chunk_ends)
+    frame = struct.pack("<IBQ", 0xFD2FB528, 0b1110_0000, 1 << 62)  # zstd, the size of its content in eight bytes
+    head = intact[start + 9 : start + 9 + 32] + b"zstd" + struct.pack("<Q", len(frame))
+    chunk = struct.pack("<BQ", Opcode.CHUNK, len(head) + len(frame)) + head + frame
+    path = tmp_path / "x.mcap"
+    path.write_bytes(intact[:start] + chunk + intact[end:])
+    scan = Scan(path)
+    assert sum(1 for _ in scan.messages()) == chunk_ends[-1][1] - (count - chunk_ends[3][1])
+    assert scan.damage == [f"a record of {len(head) + len(frame)} bytes at byte {start} is damaged (MemoryError)"]
+
+
 def test_a_tail_of_zeros_as_a_power_failure_leaves_it_is_no_data(tmp_path, intact, chunk_ends):
     end, count = chunk_ends[5]
     path = tmp_path / "x.mcap"
@@ -136,6 +171,9 @@ def test_a_damaged_original_is_read_only_where_it_is_named_alone(tmp_path, bare)
     assert find_bags([repaired.bag, original, *inside]) == [repaired.bag]
     assert left_out([repaired.bag, original, *inside]).keys() == {original, *inside}
     assert find_bags([original]) == [original] and left_out([original]) == {}
+    for path in (original, *(original / file.name for file in inside)):
+        with pytest.raises(BagError, match="is the damaged original that a repair kept"):
+            recover(path)
     assert any("is damaged" in note for note in read_measurement(original).notes)
 
 

@@ -152,6 +152,29 @@ def test_a_wrong_mapping_names_all_its_faults_in_one_line(tmp_path, text, words)
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("pick = 3", "position.pick: got 3, allowed is a list"),
+        ('pick = "a"', "position.pick: got 'a'"),
+        ('pick = ["a"]', r"position.pick: got \['a'\]"),
+        ("pick = [-1]", r"position.pick: got \[-1\]"),
+        ("unit = []", r"position.unit: got \[\], allowed is one of rad"),
+        ("unit = {}", "position.unit: got {}"),
+        ('list = "no"', "position.list: got 'no', allowed is true or false"),
+        ("file = 1", "position.file: got 1, allowed is a name"),
+        ("time = []", r"position.time: got \[\]"),
+        ("[time]\nunit = []\ncolumn = 1", "time.column: got 1.*time.unit: got "),
+        ("[readings]\ntemperature_C = {column = 1}", "readings.temperature_C.column: got 1"),
+    ],
+)
+def test_a_value_of_the_wrong_type_in_a_mapping_is_named(tmp_path, line, words):
+    text = f'rig = "x"\njoints = ["a"]\n[position]\ncolumn = "p"\n{line}\n'
+    with pytest.raises(MappingError, match=words) as error:
+        load_mapping(mapping_file(tmp_path, text))
+    assert "\n" not in str(error.value)
+
+
 def test_an_unknown_mapping_lists_the_built_in_ones():
     with pytest.raises(UnknownNameError, match=r"did you mean 'xl330_bench'.*double_pendulum, so101_arm, xl330_bench"):
         load_mapping("xl331_bench")
@@ -173,6 +196,31 @@ def test_a_wrong_log_is_said_in_one_line(tmp_path, content, words):
     path.write_text(content)
     with pytest.raises(MappingError, match=words):
         read_log(load_mapping("xl330_bench"), path)
+
+
+def damaged_gzip(text: str) -> bytes:
+    packed = bytearray(gzip.compress(text.encode()))
+    packed[10] |= 0b110  # a kind of block that there is not
+    return bytes(packed)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("run.csv.gz", damaged_gzip("t,qa,qb,ta,tb\n0,90,180,1,2\n"), "cannot be read .*invalid block type"),
+        ("run.csv.gz", gzip.compress(b"t,qa\n0,90\n")[:-9], "cannot be read"),
+        ("run.csv", b"t,qa,qb,ta,tb\n0,90,180,1," + b"2" * 200_000, "is no CSV .*field larger"),
+        ("run.csv", b"t,qa,qb,ta,tb\r0,90,180,1,2\r", "is no CSV .*new-line"),
+        ("run.json", b"[" * 200_000, "is no JSON"),
+        ("run.json", json.dumps([dict.fromkeys(("t", "qa", "qb", "ta", "tb"), 10**400)] * 2).encode(), "is no number"),
+    ],
+)
+def test_a_damaged_log_is_said_in_one_line(tmp_path, name, content, words):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(MappingError, match=words) as error:
+        read_log(load_mapping(mapping_file(tmp_path, CSV_MAPPING)), path)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("name", sorted(built_in()))

@@ -5,6 +5,7 @@ import errno
 import io
 import json
 import os
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -15,10 +16,12 @@ import pytest
 from builtin_interfaces.msg import Time
 from tcbi_cases import bench_rollouts
 
+from tcbi_infer import rollout_folder
 from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_infer.bags.recovery import recover
 from tcbi_infer.errors import BagError
 from tcbi_infer.inference_worker import INFER, Job, moved, run_inference, usable
-from tcbi_infer.rollout_folder import RolloutFolder
+from tcbi_infer.rollout_folder import QUIET_S, RolloutFolder
 from tcbi_infer.worker_process import Worker, finite, serve
 from tcbi_sim.model import base_model
 from tcbi_sim.store import ModelStore
@@ -46,6 +49,54 @@ def test_a_folder_without_bags_is_waited_for(tmp_path: Path) -> None:
     assert RolloutFolder(tmp_path / "later", 5).look() == 0
     (tmp_path / "empty").mkdir()
     assert RolloutFolder(tmp_path / "empty", 5).look() == 0
+
+
+def aged(bag: Path, by_s: float = 2 * QUIET_S) -> Path:
+    """A bag that nobody has written to for so long."""
+    then = time.time() - by_s
+    for path in (*bag.glob("*"), bag):
+        os.utime(path, (then, then))
+    return bag
+
+
+def cut_off(bag: Path) -> Path:
+    """What a full disk leaves: no metadata, no index, the end missing."""
+    (bag / "metadata.yaml").unlink()
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
+    return bag
+
+
+def test_a_bag_without_metadata_is_taken_once_nobody_writes_to_it(bags: Path) -> None:
+    torn = cut_off(bags / "steps_0_3")
+    folder = RolloutFolder(bags, 0)
+    assert folder.look() == 5
+    aged(torn)
+    assert folder.look() == 1 and folder.bags[-1] == torn
+    recover(torn)
+    assert folder.look() == 0, "its original is no rollout of its own"
+    (bags / "steps_0_4").rename(bags / "steps_9.recording")
+    aged(cut_off(bags / "steps_9.recording"))
+    assert RolloutFolder(bags, 0).look() == 5
+
+
+def test_a_bare_file_among_the_bags_is_one_of_them(bags: Path) -> None:
+    (bags / "steps_0_3" / "steps_0_3_0.mcap").rename(bags / "lab.mcap")
+    aged(bags / "lab.mcap")
+    folder = RolloutFolder(bags, 0)
+    assert folder.look() == 6 and bags / "lab.mcap" in folder.bags
+
+
+def test_a_repair_at_work_is_no_rollout(bags: Path) -> None:
+    (bags / "steps_0_3").rename(bags / ".steps_0_3.recovered")
+    assert RolloutFolder(bags, 0).look() == 5
+
+
+def test_a_bag_that_vanishes_while_it_is_looked_at_is_passed_over(bags: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, found = RolloutFolder(bags, 0), rollout_folder.bags_in(bags)
+    monkeypatch.setattr(rollout_folder, "bags_in", lambda _: found)
+    shutil.rmtree(bags / "steps_0_3")
+    assert folder.look() == 5
 
 
 def job(bags: Path, tmp_path: Path, **changes: object) -> Job:
@@ -110,6 +161,15 @@ def test_a_bag_that_cannot_be_used_is_left_out_with_a_warning(bags: Path, tmp_pa
         run_inference(dataclasses.replace(asked, bags=(str(bags / "torn.mcap"),)), emit)
 
 
+def test_what_the_reader_had_to_say_of_a_used_bag_is_a_warning(bags: Path) -> None:
+    cut_off(bags / "steps_0_3")
+    warnings: list[str] = []
+    used = usable(sorted(map(str, bags.iterdir())), lambda event, message: warnings.append(message))
+    assert len(used) == 6
+    (warning,) = warnings
+    assert warning.startswith("steps_0_3: ") and "is damaged" in warning
+
+
 def test_recordings_of_another_rig_are_refused(bags: Path, tmp_path: Path) -> None:
     heard: list[str] = []
     usable(sorted(map(str, bags.iterdir())), lambda event, **content: heard.append(event), rig="servo_bench")
@@ -137,6 +197,34 @@ def test_a_fault_of_the_input_arrives_as_one_line(tmp_path: Path) -> None:
         time.sleep(0.05)
     worker.stop()
     assert events[0]["event"] == "failed" and "nowhere" in events[0]["message"] and "\n" not in events[0]["message"]
+
+
+STRAY = """
+import os
+from tcbi_infer.worker_process import serve
+
+def run(line, emit):
+    for text in (b"a library speaks", b"[1, 2]", b'"text"', b"{}", b"\\xff", b""):
+        os.write(1, text + b"\\n")
+    emit("progress", share=0.5)
+
+raise SystemExit(serve(run))
+"""
+
+
+def test_what_a_library_writes_among_the_events_is_passed_over(
+    bags: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "stray_worker.py").write_text(STRAY)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    worker = Worker(job(bags, tmp_path), "stray_worker")
+    events: list[dict] = []
+    deadline = time.monotonic() + DEADLINE_S
+    while len(events) < 2 and time.monotonic() < deadline:
+        events += worker.events()
+        time.sleep(0.05)
+    worker.stop()
+    assert events == [{"event": "progress", "share": 0.5}, {"event": "done"}]
 
 
 def test_a_worker_that_dies_is_a_failure_and_not_a_silence(bags: Path, tmp_path: Path) -> None:

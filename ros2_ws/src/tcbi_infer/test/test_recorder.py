@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -203,6 +204,16 @@ def test_too_little_room_is_said_before_a_rollout_is_wasted(folder):
     with pytest.raises(RecordingError, match=r"MB are free, at least .* make room"):
         recorder.begin(folder, "walk_1", feed.begin, feed.first, min_free_mb=1e12)
     assert recorder.rollout is None and list(folder.path.glob("walk*")) == []
+
+
+def test_a_folder_that_was_removed_is_said_in_one_line(folder):
+    feed, recorder = Feed(), Recorder()
+    recorder.begin(folder, "walk_1", feed.begin, feed.first)
+    shutil.rmtree(folder.path)
+    recorder.discard()
+    with pytest.raises(RecordingError, match=r"rollouts: cannot be used .* \(No such file or directory\); start") as e:
+        recorder.begin(folder, "walk_2", feed.begin, feed.first)
+    assert recorder.rollout is None and "\n" not in str(e.value)
 
 
 def test_a_killed_recorders_rollout_is_repaired_by_the_next_one(folder, recorder):

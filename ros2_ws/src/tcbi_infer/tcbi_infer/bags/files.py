@@ -48,7 +48,7 @@ def find_bags(paths: Iterable[Path]) -> list[Path]:
     found: list[Path] = []
     for path in (p for p in paths if p not in skipped):
         if path.is_dir() and not is_bag(path):
-            inside = [p for p in sorted(path.iterdir(), key=_natural) if is_bag(p) and not _unwanted(p)]
+            inside = bags_in(path)
             if not inside:
                 raise BagError(f"{path}: {_what_instead(path)}")
             found += inside
@@ -58,6 +58,12 @@ def find_bags(paths: Iterable[Path]) -> list[Path]:
             mcap_files(path)
             found.append(path)
     return list(dict.fromkeys(found))
+
+
+def bags_in(folder: Path) -> list[Path]:
+    """The bags right in a folder, in order of name; no hidden one (a repair at work), and none for `left_out`."""
+    paths = (p for p in folder.iterdir() if not p.name.startswith("."))
+    return [p for p in sorted(paths, key=_natural) if is_bag(p) and not _unwanted(p)]
 
 
 def left_out(paths: Iterable[Path]) -> dict[Path, str]:

@@ -80,7 +80,12 @@ class RecordingFolder:
 
     def require_space(self, megabytes: float) -> None:
         """Raise RecordingError if less than this is free, before a rollout is wasted."""
-        free = shutil.disk_usage(self.path).free / MEGABYTE
+        try:
+            free = shutil.disk_usage(self.path).free / MEGABYTE
+        except OSError as e:
+            raise RecordingError(
+                f"{self.path}: cannot be used for recordings any more ({e.strerror}); start the recorder again"
+            ) from e
         if free < megabytes:
             raise RecordingError(
                 f"{self.path}: {free:.0f} MB are free, at least {megabytes:.0f} MB are needed for a rollout; "

@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from tcbi_infer.bags import schemas
-from tcbi_infer.bags.files import ASIDE, bag_name, is_recording, mcap_files
+from tcbi_infer.bags.files import ASIDE, bag_name, is_recording, mcap_files, set_aside
 from tcbi_infer.bags.scan import Channel, Message, Scan
 from tcbi_infer.bags.writer import UNFINISHED, BagWriter, offered_qos
 from tcbi_infer.errors import BagError
@@ -40,12 +40,14 @@ def recover(bag: Path, owned: bool = False) -> Recovery:
       owned: the caller holds the lock of the folder that the bag is in.
 
     Raises:
-      BagError: it is no recording, or not one message of it can be read.
+      BagError: it is no recording, it is an original that a repair kept, or not one message of it can be read.
       RecordingError: the disk is full; the original is untouched then.
     """
     bag = bag.parent if bag.name == "metadata.yaml" else bag
     files = mcap_files(bag)
     is_folder = bag.is_dir()
+    if set_aside(bag) or (not is_folder and set_aside(bag.parent)):
+        raise BagError(f"{bag}: is the damaged original that a repair kept; to repair it again, rename it first")
     if not owned and bag.suffix == UNFINISHED and is_recording(bag.parent):
         raise BagError(f"{bag}: is being recorded right now; wait for its end, or stop the recorder")
     recovery = Recovery(bag)

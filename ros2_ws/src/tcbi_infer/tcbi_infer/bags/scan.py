@@ -27,6 +27,10 @@ from tcbi_infer.errors import BagError
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_LIMIT = 1 << 32  # bytes; a longer record is damage, not data
 _MESSAGE = struct.Struct("<HIQQ")
+_FAULTS = (  # of damaged content; a damaged length may be too large for an integer, or for the memory
+    ValueError, LookupError, OverflowError, MemoryError, EOFError, RuntimeError,
+    struct.error, McapError, zstandard.ZstdError,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -117,17 +121,9 @@ class Scan:
                 yield from self._chunk(content)
             else:
                 yield from self._content(opcode, content)
-        except (
-            ValueError,
-            KeyError,
-            IndexError,
-            struct.error,
-            EOFError,
-            McapError,
-            zstandard.ZstdError,
-            RuntimeError,
-        ) as e:
-            self._damaged(f"a record of {length} bytes at byte {start} is damaged ({e})", length)
+        except _FAULTS as e:
+            why = str(e) or type(e).__name__
+            self._damaged(f"a record of {length} bytes at byte {start} is damaged ({why})", length)
 
     def _content(self, opcode: int, content: bytes) -> Iterator[Message]:
         """One record that is not a chunk."""
@@ -191,12 +187,14 @@ class Scan:
         data = begun(content[body:], compression)
         try:
             yield from self._records_in(data)
-        except (KeyError, struct.error, EOFError, ValueError, McapError):
+        except _FAULTS:
             return  # what was decompressed ends in a damaged record; the loss is already counted
 
 
 def decompressed(data: bytes, compression: str, size: int) -> bytes:
     """The content of a complete chunk."""
+    if size > RECORD_LIMIT:
+        raise ValueError(f"its content is said to be {size} bytes, at most {RECORD_LIMIT} are allowed")
     if compression == "zstd":
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
     if compression == "lz4":
@@ -221,6 +219,6 @@ def begun(data: bytes, compression: str) -> bytes:
     for at in range(0, len(data), 1024):  # small bites: an error costs only what follows it
         try:
             parts.append(decompressor.decompress(data[at : at + 1024]))
-        except (zstandard.ZstdError, RuntimeError, EOFError):
+        except _FAULTS:
             break
     return b"".join(parts)

@@ -225,9 +225,10 @@ class BagWriter:
     def discard(self) -> None:
         """Remove everything written so far."""
         self._file.close(to_disk=False)
-        for path in self.working_path.iterdir():
-            path.unlink()
-        self.working_path.rmdir()
+        if self.working_path.exists():
+            for path in self.working_path.iterdir():
+                path.unlink()
+            self.working_path.rmdir()
 
     def _settle(self, metadata: dict[str, Any]) -> Path:
         write_metadata(self.working_path, metadata)
