@@ -100,6 +100,7 @@ def test_up_without_its_robot_says_why_and_ends_with_1(call, tmp_path):
     assert up.process.wait(DEADLINE_S) == 1
     last = up.text().strip().splitlines()[-1]
     assert last.startswith("tcbi: sim_node failed 2 times in a row") and "hexapod-v1" in last
+    assert up.text().count("cannot read the model") == 1 and str(tmp_path / "log") in last
 
 
 def test_up_with_a_model_that_is_not_there_is_refused_at_once(call, tmp_path):

@@ -4,6 +4,7 @@ parser.add_argument("--n", type=at_least(1))               # an int
 parser.add_argument("--rate", type=above(0.0))             # a float
 parser.add_argument("--port", type=between(1, 65_535))
 parser.add_argument("--diagnosis", type=existing_file)
+parser.add_argument("--store", type=folder_path)           # there, or to be made
 """
 
 import argparse
@@ -62,4 +63,13 @@ def existing_file(text: str) -> Path:
     path = Path(text).expanduser()
     if not path.is_file():
         raise argparse.ArgumentTypeError(f"got {text!r}, allowed is a file, and there is none of this name")
+    return path
+
+
+def folder_path(text: str) -> Path:
+    """The path of a folder that is there or can be made."""
+    path = Path(text).expanduser()
+    there = next(place for place in (path, *path.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise argparse.ArgumentTypeError(f"got {text!r}, allowed is a folder, and {there} is a file")
     return path

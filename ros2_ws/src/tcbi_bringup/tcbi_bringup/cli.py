@@ -10,6 +10,7 @@ import keyword
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ READER_GONE = 141  # as a shell reports a program that a closed pipe has ended
 
 _ROOM = "make room on the disk, or choose another folder (--store or --out)"
 _RIGHTS = "give yourself the right to write there, or choose another folder (--store or --out)"
+_PLACE = "a file is where a folder should be: move it away, or choose another folder (--store or --out)"
 MACHINE_FAULTS = {  # what any command may meet, and what to do; other errors of the system are faults of the program
     errno.ENOSPC: _ROOM,
     errno.EDQUOT: _ROOM,
@@ -30,7 +32,12 @@ MACHINE_FAULTS = {  # what any command may meet, and what to do; other errors of
     errno.EROFS: _RIGHTS,
     errno.EACCES: _RIGHTS,
     errno.EPERM: _RIGHTS,
+    errno.ENOTDIR: _PLACE,
+    errno.EEXIST: _PLACE,
+    errno.EIO: "the disk fails: see what the kernel says (dmesg), or choose another folder (--store or --out)",
 }
+OWN_PACKAGES = ("tcbi_", "hexapod_driver")
+INSTALL = "activate the environment with what requirements-pypi.txt lists, or make it (docs/setup.md)"
 
 
 @dataclass(frozen=True)
@@ -120,8 +127,22 @@ def find(name: str) -> Command | None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command line; returns the exit status."""
-    words = sys.argv[1:] if argv is None else argv
+    """Run one command line; returns the exit status.
+
+    Args:
+      argv: None for the process's own; then SIGTERM ends the command as an exit does, and nothing follows its answer.
+    """
+    if argv is not None:
+        return call(argv)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    status = call(sys.argv[1:])
+    if sys.stdout is not None:
+        os.dup2(2, 1)  # whatever a library still says at its end is no answer
+    return status
+
+
+def call(words: list[str]) -> int:
+    """Run one command line; what a user or the machine is at fault for is one line on standard error."""
     try:
         status = dispatch(words)
         if sys.stdout is not None:
@@ -137,12 +158,30 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.stdout.flush()  # what nobody reads, so that nothing of it is left for later
         return READER_GONE
-    except OSError as e:
-        if e.errno not in MACHINE_FAULTS:
+    except ModuleNotFoundError as e:
+        if not e.name or e.name.startswith(OWN_PACKAGES):
             raise
-        place = f"{e.filename}: " if e.filename else ""
-        print(f"tcbi: {place}{os.strerror(e.errno)}; {MACHINE_FAULTS[e.errno]}", file=sys.stderr)
+        print(f"tcbi: the Python package {e.name!r} is missing; {INSTALL}", file=sys.stderr)
         return FAULT
+    except OSError as e:
+        fault = machine_fault(e)
+        if not fault:
+            raise
+        print(f"tcbi: {fault}", file=sys.stderr)
+        return FAULT
+
+
+def machine_fault(error: OSError) -> str:
+    """What the machine is at fault for and what to do, in one line; "" where the program is."""
+    if error.errno in MACHINE_FAULTS:
+        place = f"{error.filename}: " if error.filename else ""
+        return f"{place}{os.strerror(error.errno)}; {MACHINE_FAULTS[error.errno]}"
+    if error.errno == errno.ENOENT and not error.filename:
+        try:
+            tempfile.gettempdir()
+        except FileNotFoundError as e:
+            return f"{e.strerror}; make room in one of them, or name another folder (TMPDIR)"
+    return ""
 
 
 def dispatch(words: list[str]) -> int:
@@ -257,8 +296,4 @@ def unknown(name: str) -> str:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    exit_status = main()
-    if sys.stdout is not None:
-        os.dup2(2, 1)  # whatever a library still says at its end is no answer
-    sys.exit(exit_status)
+    sys.exit(main())

@@ -5,8 +5,10 @@ import importlib
 import json
 import os
 import pkgutil
+import signal
 import subprocess
 import sys
+import tempfile
 import types
 
 import pytest
@@ -203,3 +205,63 @@ def test_other_errors_of_the_system_are_not_hidden(command):
     command(run)
     with pytest.raises(OSError, match="bad file descriptor"):
         cli.main(["compare"])
+
+
+def test_no_usable_temporary_folder_is_one_line_with_a_remedy(command, capsys, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", lambda: ["/nowhere"])
+    command(lambda _: tempfile.mkdtemp())
+    assert cli.main(["compare"]) == cli.FAULT
+    error = capsys.readouterr().err
+    assert error.startswith("tcbi: No usable temporary directory found in ['/nowhere']; ") and "TMPDIR" in error
+    assert error.count("\n") == 1
+
+
+def test_a_file_that_is_not_there_is_not_taken_for_the_temporary_folder(command):
+    command(lambda _: os.stat("/nowhere/file"))
+    with pytest.raises(FileNotFoundError):
+        cli.main(["compare"])
+
+
+@pytest.mark.parametrize("words", ["compare bag --store", "up --log-dir", "demo --folder", "study --out"])
+@pytest.mark.parametrize("below", ["", "/sub"])
+def test_a_file_in_the_place_of_a_folder_is_refused_before_anything_is_done(words, below, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.touch()
+    assert cli.main([*words.split(), f"{file}{below}"]) == cli.USAGE
+    error = capsys.readouterr().err
+    assert f"got '{file}{below}', allowed is a folder, and {file} is a file" in error and error.count("\n") == 1
+
+
+def test_a_missing_package_is_one_line_that_says_what_brings_it(command, capsys):
+    def run(_):
+        import mujocoo  # noqa: F401
+
+    command(run)
+    assert cli.main(["compare"]) == cli.FAULT
+    error = capsys.readouterr().err
+    assert "'mujocoo' is missing" in error and "requirements-pypi.txt" in error and error.count("\n") == 1
+
+
+PATIENT = """
+import importlib, sys, time, types
+from tcbi_bringup import cli
+def run(_):
+    try:
+        print("started", flush=True)
+        time.sleep(100)
+    finally:
+        print("ended in good order", flush=True)
+module = types.SimpleNamespace(SUMMARY="", add_arguments=lambda parser: None, run=run)
+importlib.import_module = lambda name: module
+sys.argv = ["tcbi", "doctor"]
+sys.exit(cli.main())
+"""
+
+
+def test_sigterm_ends_a_command_in_good_order_whoever_calls_main():
+    with subprocess.Popen([sys.executable, "-c", PATIENT], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "started\n"
+        process.terminate()
+        assert process.stdout.read() == "ended in good order\n"
+    assert process.returncode == 128 + signal.SIGTERM

@@ -2,12 +2,14 @@
 
 import argparse
 import dataclasses
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tcbi_bringup.commands import train
+from tcbi_bringup.errors import BringupError
 from tcbi_policy.artefact import Policy, find_policy, save_policy
 from tcbi_sim.store import ModelStore
 
@@ -36,3 +38,20 @@ def test_what_a_policy_was_trained_with_stays_unless_something_else_is_asked_for
     train.add_arguments(parser)
     run = train.plan(parser.parse_args(["--task", "balance", *words]), ModelStore(tmp_path))
     assert (run.config.observation_noise, run.config.effects) == (noise, effects)
+
+
+def test_a_log_that_cannot_be_copied_is_one_line_after_the_policy_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    run = tmp_path / "run"
+    save_policy(run / "policy", shipped.mlp, shipped.card)
+
+    def full(*_: Path) -> None:
+        raise shutil.Error([("from", "to", "[Errno 28] No space left on device: 'to'")])
+
+    monkeypatch.setattr(shutil, "copytree", full)
+    with pytest.raises(BringupError, match=r"saved as .*mine.safetensors, but .*No space left.* stays in .*run"):
+        train._publish(run, "mine", tmp_path)
+    assert find_policy("mine", tmp_path).policy_id.startswith("mine@") and run.is_dir()

@@ -104,6 +104,7 @@ class LiveSimulation:
 
         Raises:
           CommandRefused: the emergency stop stands.
+          SimError: the model cannot be simulated; the one before stays in use.
         """
         if self.safety.mode is Mode.STOPPED:
             raise CommandRefused("reset: the emergency stop stands; call emergency_stop/release first")
@@ -168,15 +169,16 @@ class LiveSimulation:
             raise SimError(
                 f"model {model.version!r} is of the rig {rig.name!r}, which is no walking robot; use a hexapod model"
             )
-        self.model, self.scenario, self._rig = model, scenario, rig
-        self._simulator = Simulator(model, self._parameters(), [scenario], self._timestep, threads=1)
+        simulator = Simulator(model, self._parameters(model, scenario), [scenario], self._timestep, threads=1)
+        simulator.set_torque(self.safety.mode is Mode.ACTIVE)
+        # only now: a model that fails leaves the one before in use
+        self.model, self.scenario, self._rig, self._simulator = model, scenario, rig, simulator
         self._rng = np.random.default_rng([scenario.seed, NOISE_STREAM])
-        self._simulator.set_torque(self.safety.mode is Mode.ACTIVE)
 
-    def _parameters(self) -> np.ndarray:
+    def _parameters(self, model: Model, scenario: Scenario) -> np.ndarray:
         if not self._draw:
-            return self.model.mean()[None]
-        return self.model.sample(np.random.default_rng([self.scenario.seed, DRAW_STREAM]), 1)
+            return model.mean()[None]
+        return model.sample(np.random.default_rng([scenario.seed, DRAW_STREAM]), 1)
 
     def _hold(self, scenario: Scenario) -> None:
         """Arm the robot in its initial posture, as the driver does at the end of its slow move there."""

@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,9 +34,13 @@ class Model:
     created: str = ""
 
     def __post_init__(self) -> None:
-        expected = (len(self.log_weights), len(self.parameters))
+        expected = (*self.log_weights.shape, len(self.parameters))
         if self.particles.shape != expected:
             raise SimError(f"model {self.version!r}: particles have shape {self.particles.shape}, expected {expected}")
+        if not np.all(finite := np.isfinite(self.log_weights)):
+            raise SimError(
+                f"model {self.version!r}: a log-weight is {self.log_weights[~finite][0]}, allowed is a finite number"
+            )
         for column, p in zip(self.particles.T, self.parameters, strict=True):
             slack = 1e-9 * (p.high - p.low)
             if not np.all((column >= p.low - slack) & (column <= p.high + slack)):
@@ -62,8 +67,7 @@ class Model:
 
     def uses(self) -> list[EffectUse]:
         """The effects in this model."""
-        rig = load_rig(self.rig)
-        return [find_use(key, rig) for key in self.effects]
+        return uses_of(load_rig(self.rig), self.effects)
 
     def mean(self) -> np.ndarray:
         """(P,) weighted means, on each parameter's own scale (a geometric mean for log scales)."""
@@ -146,6 +150,25 @@ class Model:
             evidence=evidence,
             created=now(),
         )
+
+
+def uses_of(rig: Rig, effects: Iterable[str]) -> list[EffectUse]:
+    """The effects of a model of a rig.
+
+    Raises:
+      SimError: unknown effect, or one that the rig cannot have.
+    """
+    return [find_use(key, rig) for key in effects]
+
+
+def parameters_of(name: str, effects: Iterable[str]) -> tuple[Parameter, ...]:
+    """The parameters that a rig and effects define, in the order of a model's.
+
+    Raises:
+      SimError: unknown rig or effect, or an effect that the rig cannot have.
+    """
+    rig = load_rig(name)
+    return rig.parameters + tuple(p for use in uses_of(rig, effects) for p in use.parameters)
 
 
 def now() -> str:

@@ -14,6 +14,7 @@ import logging
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from tcbi_sim.errors import SimError, UnknownNameError
 from tcbi_sim.mjcf import to_xml
-from tcbi_sim.model import Model, base_model, now
+from tcbi_sim.model import Model, base_model, now, parameters_of
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.places import default_root
 from tcbi_sim.rigs import rig_names
@@ -30,6 +31,26 @@ log = logging.getLogger(__name__)
 FORMAT = 1
 LATEST = "latest"
 DRAWS = 1000
+RESTORE = "restore the file or remove the folder"
+
+
+def _is(kind: Any) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, kind)
+
+
+def _is_list(kind: type) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, list) and all(isinstance(item, kind) for item in value)
+
+
+HEAD: dict[str, tuple[Callable[[Any], bool], str]] = {  # key of model.json: what it must be
+    "version": (_is(str), "a text"),
+    "rig": (_is(str), "a text"),
+    "effects": (_is_list(str), "a list of texts"),
+    "parameters": (_is_list(dict), "a list of objects"),
+    "parent": (_is(str | None), "a text or null"),
+    "evidence": (_is(dict), "an object"),
+    "created": (_is(str), "a text"),
+}
 
 
 class StoreError(SimError):
@@ -62,7 +83,7 @@ class ModelStore:
 
         Raises:
           UnknownNameError: there is no such version.
-          StoreError: the rig has no model, or its files are damaged or name what this installation does not know.
+          StoreError: the rig has no model, or its files are damaged or do not fit the rig and the effects here.
         """
         known = self.versions(rig if version == LATEST else None)
         if not known:
@@ -135,37 +156,69 @@ class ModelStore:
         write_posterior(folder / "posterior.nc", model)
 
     @staticmethod
-    def _check_effects(model: Model) -> None:
+    def _read(folder: Path) -> Model:
+        path, particles = folder / "model.json", folder / "posterior.nc"
         try:
-            model.uses()
-        except SimError as e:
-            raise StoreError(f"model {model.version} needs an effect that is not here: {e}") from e
-
-    def _read(self, folder: Path) -> Model:
-        try:
-            head = json.loads((folder / "model.json").read_text())
-            if head["format"] != FORMAT:
-                raise StoreError(f"{folder / 'model.json'} has format {head['format']}, this version reads {FORMAT}")
-            parameters = tuple(Parameter(**p) for p in head["parameters"])
-            values, log_weights = read_particles(folder / "posterior.nc")
-            try:
-                model = Model(
-                    head["version"],
-                    head["rig"],
-                    tuple(head["effects"]),
-                    parameters,
-                    values,
-                    log_weights,
-                    head["parent"],
-                    head["evidence"],
-                    head["created"],
-                )
-            except SimError as e:
-                raise StoreError(f"{folder / 'posterior.nc'}: {e}; restore the file or remove the folder") from e
-            self._check_effects(model)
-            return model
+            head = json.loads(path.read_text())
+            check_head(path, head)
+            values, log_weights = read_particles(particles)
         except (OSError, KeyError, TypeError, ValueError) as e:
             raise StoreError(f"cannot read the model in {folder}: {e}; remove the folder or restore its files") from e
+        rig, effects = head["rig"], tuple(head["effects"])
+        try:
+            parameters = parameters_of(rig, effects)
+        except SimError as e:
+            raise StoreError(f"model {head['version']} needs a rig or an effect that is not here: {e}") from e
+        check_parameters(path, head["parameters"], parameters)
+        try:
+            return Model(
+                head["version"],
+                rig,
+                effects,
+                parameters,
+                values,
+                log_weights,
+                head["parent"],
+                head["evidence"],
+                head["created"],
+            )
+        except SimError as e:
+            raise StoreError(f"{particles}: {e}; {RESTORE}") from e
+
+
+def check_head(path: Path, head: Any) -> None:
+    """Refuse a `model.json` of another format or with values of wrong types.
+
+    Raises:
+      StoreError: names all of them.
+    """
+    if not isinstance(head, dict):
+        raise StoreError(f"{path}: got {type(head).__name__}, allowed is an object; {RESTORE}")
+    if head.get("format") != FORMAT:
+        raise StoreError(f"{path} has format {head.get('format')!r}, this version reads {FORMAT}")
+    faults = [
+        f"{key} is {head.get(key)!r}, allowed is {allowed}"
+        for key, (fits, allowed) in HEAD.items()
+        if not fits(head.get(key))
+    ]
+    if faults:
+        raise StoreError(f"{path}: {'; '.join(faults)}; {RESTORE}")
+
+
+def check_parameters(path: Path, saved: list[dict[str, Any]], defined: tuple[Parameter, ...]) -> None:
+    """Refuse a `model.json` whose parameters are not those of its rig and its effects.
+
+    Their bounds are not read from the file: values are held against those that the rig and the effects have now.
+
+    Raises:
+      StoreError: names both.
+    """
+    names, allowed = [p.get("name") for p in saved], [p.name for p in defined]
+    if names != allowed:
+        raise StoreError(
+            f"{path}: parameters are {', '.join(map(str, names)) or 'none'}, allowed are {', '.join(allowed)}; the "
+            "rig, an effect or this file has changed since it was saved; put that back or remove the folder"
+        )
 
 
 def read_particles(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -173,7 +226,7 @@ def read_particles(path: Path) -> tuple[np.ndarray, np.ndarray]:
     import xarray as xr  # takes a second, which nodes on a built-in model need not wait for
 
     with xr.open_dataset(path, group="particles", engine="h5netcdf") as particles:  # netCDF4 is not safe in threads
-        return particles["value"].values, particles["log_weight"].values
+        return particles["value"].values.astype(float), particles["log_weight"].values.astype(float)
 
 
 def write_posterior(path: Path, model: Model, seed: int = 0) -> None:

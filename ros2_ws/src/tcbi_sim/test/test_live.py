@@ -7,6 +7,7 @@ import pytest
 
 from tcbi_contract.names import JOINTS
 from tcbi_contract.safety import CommandRefused, Mode
+from tcbi_sim.effects import including, library
 from tcbi_sim.errors import SimError
 from tcbi_sim.live import LiveSimulation
 from tcbi_sim.measurement import Scenario
@@ -128,3 +129,16 @@ def test_a_command_given_between_samples_acts_from_then(model):
 def test_a_rig_that_is_no_walking_robot_is_refused():
     with pytest.raises(SimError, match="servo_bench"):
         LiveSimulation(base_model("servo_bench"), Scenario("bench", 1.0))
+
+
+def test_a_model_that_fails_leaves_the_one_before_in_use(model):
+    def fail(*_):
+        raise ValueError("no such body")
+
+    live = LiveSimulation(model, BALANCE)
+    first = record(live)
+    broken = dataclasses.replace(library()["payload"], name="broken", apply=fail)
+    with including(broken), pytest.raises(SimError, match=r"effect 'broken': apply\(\) raised ValueError"):
+        live.reset(FLAT, model.with_effect("broken"))
+    assert (live.model, live.scenario) == (model, BALANCE)
+    assert np.array_equal(first, record(live))

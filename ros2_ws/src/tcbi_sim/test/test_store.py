@@ -1,7 +1,9 @@
 """Model versions survive the disk, and damaged ones are refused in words."""
 
+import dataclasses
 import errno
 import json
+import re
 import subprocess
 import sys
 
@@ -10,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from tcbi_sim.effects import including, library
 from tcbi_sim.errors import SimError
 from tcbi_sim.mjcf import materialise, to_xml
 from tcbi_sim.model import base_model
@@ -127,19 +130,50 @@ def test_the_exported_mjcf_is_the_model(store):
         np.testing.assert_allclose(getattr(loaded, name), getattr(own, name), rtol=2e-5, atol=1e-6, err_msg=name)
 
 
+def changed(store: ModelStore, change: dict) -> str:
+    """The version of a saved model whose `model.json` is changed."""
+    saved = store.save(base_model("hexapod").with_effect("backlash"))
+    path = store.models / saved.version / "model.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    return saved.version
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"effects": ["gravity_waves"]}, "gravity_waves"),
-        ({"format": 99}, "format"),
+        ({"format": 99}, "has format 99, this version reads 1"),
         ({"rig": "octopod"}, "octopod"),
+        ({"rig": "servo_bench"}, "does not suit|parameters"),
+        ({"effects": []}, r"parameters are friction, mass, gain, backlash\.\w+, allowed are friction, mass, gain;"),
+        ({"parameters": []}, "parameters are none, allowed are friction, mass, gain, backlash"),
     ],
 )
 def test_a_model_file_with_unknown_content_is_refused_by_name(store, change, words):
-    saved = store.save(base_model("hexapod"))
-    path = store.models / saved.version / "model.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(SimError, match=words):
+        store.load(changed(store, change))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"effects": [5]}, "effects is [5], allowed is a list of texts"),
+        ({"effects": "backlash"}, "effects is 'backlash', allowed is a list of texts"),
+        ({"parameters": {"mass": 1.0}}, "parameters is {'mass': 1.0}, allowed is a list of objects"),
+        ({"rig": None, "parent": 3}, "rig is None, allowed is a text; parent is 3, allowed is a text or null"),
+        ({"evidence": []}, "evidence is [], allowed is an object"),
+    ],
+)
+def test_a_value_of_the_wrong_type_in_a_model_file_is_named_with_what_is_allowed(store, change, words):
+    with pytest.raises(StoreError, match=re.escape(f"model.json: {words}; restore the file")):
+        store.load(changed(store, change))
+
+
+@pytest.mark.parametrize("text", ["[]", "3", '"model"', "null"])
+def test_a_model_file_that_holds_no_object_is_refused(store, text):
+    saved = store.save(base_model("hexapod"))
+    (store.models / saved.version / "model.json").write_text(text)
+    with pytest.raises(StoreError, match=r"model.json: got .*, allowed is an object"):
         store.load(saved.version)
 
 
@@ -152,14 +186,33 @@ def test_the_history_leaves_out_a_version_that_cannot_be_read_and_says_so(store,
     assert broken.version in line and "my_own_effect" in line and "\n" not in line
 
 
-def test_a_value_out_of_range_is_refused_with_its_bounds(store):
+def test_bounds_written_into_a_model_file_do_not_widen_those_of_the_rig(store):
     saved = store.save(base_model("hexapod"))
     path = store.models / saved.version / "model.json"
     head = json.loads(path.read_text())
-    head["parameters"][1]["low"] = 0.9
-    head["parameters"][1]["nominal"] = 1.0
+    head["parameters"][1] |= {"low": -5, "high": 1e9}
     path.write_text(json.dumps(head))
-    with pytest.raises(SimError, match="mass"):
+    assert store.load(saved.version).parameters == saved.parameters
+    with h5py.File(path.with_name("posterior.nc"), "r+") as file:
+        file["particles/value"][3, 1] = -3.0
+    with pytest.raises(StoreError, match=r"posterior.nc: .*'mass' is -3.0, allowed is 0.4"):
+        store.load(saved.version)
+
+
+def test_a_model_takes_the_bounds_that_its_effect_has_by_now(store):
+    saved = store.save(base_model("hexapod").with_effect("payload"))
+    effect = library()["payload"]
+    first = dataclasses.replace(effect.parameters[0], high=effect.parameters[0].high + 1.0)
+    with including(dataclasses.replace(effect, parameters=(first, *effect.parameters[1:]))):
+        assert store.load(saved.version).parameters[3].high == first.high
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_log_weight_that_is_no_number_is_refused_with_its_file(store, value):
+    saved = store.save(base_model("hexapod"))
+    with h5py.File(store.models / saved.version / "posterior.nc", "r+") as file:
+        file["particles/log_weight"][3] = value
+    with pytest.raises(StoreError, match=rf"posterior.nc: .*log-weight is {value}, allowed is a finite number"):
         store.load(saved.version)
 
 

@@ -28,7 +28,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tcbi_bringup.arguments import at_least
+from tcbi_bringup.arguments import at_least, folder_path
 from tcbi_bringup.progress import progress as progress
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def add_store(parser: argparse.ArgumentParser) -> None:
     """`--store FOLDER`; pass on None, for which ModelStore knows the default."""
     parser.add_argument(
         "--store",
-        type=Path,
+        type=folder_path,
         metavar="FOLDER",
         help="where models, policies, rollouts and runs are kept (default: TCBI_STORE or ~/.local/share/tcbi)",
     )

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tcbi_bringup.arguments import at_least
+from tcbi_bringup.arguments import at_least, folder_path
 from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick", action="store_true", help="a shorter story: fewer motions, six effects, little training"
     )
-    parser.add_argument("--folder", type=Path, help="where everything goes (default: a new folder in the store)")
+    parser.add_argument("--folder", type=folder_path, help="where everything goes (default: a new folder in the store)")
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         from tcbi_bringup.demo.plan import FULL, QUICK  # seconds of imports, while the nodes start
         from tcbi_bringup.demo.story import Story
 
-        lab.wait(graph.check)
+        lab.wait(graph.check_briefly)
         beside.submit(_load_the_rest)
         drawn: list[Section] = []
         outcome = Story(robot, QUICK if args.quick else FULL, folder, lab).tell(lambda out: drawn.extend(_draw(out)))

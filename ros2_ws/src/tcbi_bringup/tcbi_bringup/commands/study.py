@@ -3,10 +3,9 @@
 import argparse
 import json
 import os
-from pathlib import Path
 from typing import Any
 
-from tcbi_bringup.arguments import at_least
+from tcbi_bringup.arguments import at_least, folder_path
 from tcbi_bringup.commands import console
 
 SUMMARY = (
@@ -22,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--tasks", default="", help="balance, forward, or both with a comma (default: both)")
     parser.add_argument("--methods", default="", metavar="NAME,NAME", help="default: the preset's")
-    parser.add_argument("--out", type=Path, help="folder of the study (default: study-PRESET in the store)")
+    parser.add_argument("--out", type=folder_path, help="folder of the study (default: study-PRESET in the store)")
     parser.add_argument("--report", action="store_true", help="only write the tables of what is there already")
     parser.add_argument("--threads", type=at_least(0), default=0, help="0 (default) for all processors")
     console.add_store(parser)

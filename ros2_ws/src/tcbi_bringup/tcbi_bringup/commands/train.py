@@ -9,6 +9,7 @@ from typing import Any
 
 from tcbi_bringup.arguments import above, at_least, seed
 from tcbi_bringup.commands import console
+from tcbi_bringup.errors import BringupError
 
 SUMMARY = "Train a policy for a task in simulations drawn from a model; a run that was interrupted goes on."
 
@@ -111,6 +112,9 @@ def _publish(folder: Path, out: str, root: Path) -> Path:
     """Keep the policy under a name in the store or as a file, and what was logged; the run's folder is then done with.
 
     What was logged moves to `tensorboard/NAME` of the store.
+
+    Raises:
+      BringupError: what was logged cannot be copied there; the policy is kept.
     """
     import shutil
 
@@ -123,7 +127,14 @@ def _publish(folder: Path, out: str, root: Path) -> Path:
     assert path is not None
     logged = root / "tensorboard" / stem.name
     shutil.rmtree(logged, ignore_errors=True)
-    shutil.copytree(folder / "tensorboard", logged)
+    try:
+        shutil.copytree(folder / "tensorboard", logged)
+    except OSError as e:  # shutil.Error, too, which has no number but a list of (from, to, why)
+        why = e.args[0][0][2] if isinstance(e, shutil.Error) else e.strerror
+        raise BringupError(
+            f"the policy is saved as {path}, but its log cannot be copied to {logged}: {why}; make room or choose "
+            f"another --store; the log stays in {folder}"
+        ) from e
     shutil.rmtree(folder, ignore_errors=True)
     return path
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tcbi_bringup.arguments import at_least
+from tcbi_bringup.arguments import at_least, folder_path
 from tcbi_bringup.commands import console
 
 SUMMARY = "Start the graph of nodes on a simulation, an emulated robot or a real one; Ctrl-C stops all of it."
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_hidden(parser)
     parser.add_argument("--no-learning", action="store_true", help="leave out the inference and the retrain node")
     parser.add_argument(
-        "--log-dir", type=Path, help="where the processes' logs go (default: a new folder, named at start)"
+        "--log-dir", type=folder_path, help="where the processes' logs go (default: a new folder, named at start)"
     )
     console.add_store(parser)
     console.add_examples(
@@ -130,7 +130,6 @@ def watch(graph, monitor, options, title: str, asked: Callable[[], bool]) -> str
         for status in graph.status():
             if status.state == "given up" and status.essential and not lost:
                 lost.append(graph.explain(status))
-                console.note(graph.tail(status.name))
         return not asked() and not lost
 
     show(f"{options.robot}: {title}", lambda: (graph.status(), monitor.rates()), goes_on)

@@ -70,7 +70,7 @@ def processes(robot: Robot, folder: Path, store: Path, lab: Path) -> list[NodePr
 def running(robot: Robot, folder: Path, store: Path) -> Iterator[tuple[LabNode, Graph]]:
     """The graph in a ROS domain of its own, about to start; stopped cleanly at the end.
 
-    `lab.wait(graph.check)` waits until it can record, and raises LaunchError where a process failed.
+    `lab.wait(graph.check_briefly)` waits until it can record, and raises LaunchError where a process failed.
     """
     with _free_domain() as domain_id, contextlib.ExitStack() as stack:
         short = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tcbi-lab-")))
