@@ -62,6 +62,7 @@ def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_grap
     entered.publish(Float64(data=0.42))
     status, result = collection.result()
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert result.message == "1 rollout recorded"
     assert robot.resets == 2 and robot.placed == [0.25, 0.25], "hands free the legs of a robot that fails its reset"
     m = read_measurement(result.bags[0])
     assert (m.distance, m.source, m.policy_id, m.scenario.slope_roll) == (0.42, "driver", "", 0.25)

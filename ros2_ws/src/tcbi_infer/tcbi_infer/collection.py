@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S, SLOPE_LIMIT
+from tcbi_infer.bags.tracker import heading
 from tcbi_infer.errors import RecordingError
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.tasks import find_task, tasks
@@ -105,7 +106,5 @@ def travelled(start: Sequence[float], end: Sequence[float], orientation: Sequenc
       start, end: positions in the world, m.
       orientation: x y z w at the start; where it is no unit quaternion, the robot faced the world's x axis.
     """
-    x, y, z, w = orientation
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) if abs(norm - 1) < 1e-2 else 0.0
+    yaw = heading(orientation) or 0.0
     return (end[0] - start[0]) * math.cos(yaw) + (end[1] - start[1]) * math.sin(yaw)

@@ -168,14 +168,15 @@ class Collector:
         self._require_recording()
         self.node.events.publish(event)
         self.node.heard_joints_s = time.monotonic()
+        late = ""
         try:
             if request.policy != NO_POLICY:
                 await self._set_policy(True)
-                event.note = self._late(begin)
-                if event.note and not last:
-                    raise LateStartError(event.note)
+                late = self._late(begin)
+                if late and not last:
+                    raise LateStartError(late)
             await self._act(goal, request, index, end)
-            return await self._end(event, end, request)
+            return await self._end(event, end, request, late)
         except LateStartError as error:
             self.node.recorder.discard()
             await self._abort(event, str(error), request)
@@ -214,14 +215,14 @@ class Collector:
         """The policy in use: a training may have put another in its place since the collection began."""
         return "" if request.policy == NO_POLICY else self.node.policy_id
 
-    async def _end(self, event: RolloutEvent, end: int, request: Request) -> Path:
+    async def _end(self, event: RolloutEvent, end: int, request: Request, late: str) -> Path:
         node = self.node
         node.recorder.end(end, time.monotonic())
         await Until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
         self._require_recording()
-        event.kind, event.policy_id = RolloutEvent.END, self._acting(request)
-        if event.note:
-            node.get_logger().warning(f"{event.rollout_id}: {event.note}; no repeat will be like it")
+        event.kind, event.note, event.policy_id = RolloutEvent.END, late, self._acting(request)
+        if late:
+            node.get_logger().warning(f"{event.rollout_id}: {late}; no repeat will be like it")
             self._late_starts += 1
         event.header.stamp = messages.to_stamp(end)
         event.distance = await self._distance(request.distance_timeout_s or node.values.distance_timeout_s)

@@ -13,8 +13,11 @@ from tcbi_infer.bags import encoding, schemas
 from tcbi_infer.bags.encoding import messages
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_bag, read_measurement, read_measurements
+from tcbi_infer.bags.tracker import heading, wanted_heading
 from tcbi_infer.bags.writer import BagWriter
 from tcbi_infer.errors import BagError
+from tcbi_sim.measurement import Scenario, progress, quaternion_from_rpy
+from tcbi_sim.sensing import multiply
 
 START = 5_000_000_000
 Row = tuple[str, int, bytes]
@@ -310,3 +313,35 @@ def test_a_policy_that_was_changed_meanwhile_is_named_as_both(tmp_path):
     back = read_measurement(written(tmp_path, found))
     assert back.policy_id == f"{rollout().policy_id} then balance-1@2"
     only_note(back, "the policy was changed meanwhile")
+
+
+@pytest.mark.parametrize("angle", [np.pi / 2, -2.5, 0.03])
+def test_a_tracker_whose_frame_is_turned_against_the_robots_heading(tmp_path, angle):
+    case = rollout()
+    seen = wanted_heading(case.scenario) + angle
+    w, z = np.cos(seen / 2), np.sin(seen / 2)
+    cos, sin = np.cos(angle), np.sin(angle)
+    frame = case.position @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + [3.0, -1.0, 0.0]
+    poses = []
+    for i, t in enumerate(case.time):
+        stamp = START + round(t * 1e9)
+        message = encoding.tracker_pose(stamp, frame[i])
+        o = message.pose.orientation
+        o.x, o.y, o.z, o.w = 0.0, 0.0, z, w
+        poses.append((TRACKER_POSE, stamp, schemas.encode(message, schemas.MESSAGES[TRACKER_POSE])))
+    found = read_measurement(written(tmp_path, [*rows(case, without(TRACKER_POSE)), *poses]))
+    away = progress(case.position, case.scenario.initial_yaw)
+    if abs(angle) < 0.05:
+        np.testing.assert_allclose(found.position, frame, atol=1e-9)
+        assert not [note for note in found.notes if "turned" in note]
+    else:
+        only_note(found, f"positions are turned by {-np.degrees(angle):.0f} degrees")
+        np.testing.assert_allclose(progress(found.position, case.scenario.initial_yaw), away, atol=1e-9)
+
+
+@pytest.mark.parametrize(("roll", "pitch", "yaw"), [(0.4, -0.3, 0.0), (0.5, 0.4, 1.2), (-0.2, 0.5, -2.8)])
+def test_where_a_robot_heads_on_its_slope(roll, pitch, yaw):
+    slope, turn = (quaternion_from_rpy(*np.array(angles)) for angles in ((roll, pitch, 0.0), (0.0, 0.0, yaw)))
+    w, x, y, z = multiply(slope, turn)
+    scenario = Scenario("balance", 1.0, slope_roll=roll, slope_pitch=pitch, initial_yaw=yaw)
+    assert wanted_heading(scenario) == pytest.approx(heading((x, y, z, w)))

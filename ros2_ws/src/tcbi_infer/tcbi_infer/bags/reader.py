@@ -11,6 +11,7 @@ taken at the same stamp unchanged, else between its neighbours: linear, contacts
 
 from collections.abc import Callable, Iterable
 from functools import partial
+from math import degrees, pi, remainder
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,10 @@ from tcbi_infer.bags.files import find_bags
 from tcbi_infer.bags.readings import read_readings
 from tcbi_infer.bags.rollouts import Span, lacking, spans
 from tcbi_infer.bags.streams import Recording, Stream, load, stream
+from tcbi_infer.bags.tracker import TURNED, heading, turned, wanted_heading
 from tcbi_infer.errors import BagError, EmptyRolloutError
 from tcbi_infer.gaps import GAP_PERIODS, GAP_S, sample_gaps
-from tcbi_sim.measurement import Measurement, continuous
+from tcbi_sim.measurement import Measurement, Scenario, continuous
 
 HEXAPOD = "hexapod"
 LEAST_COVER = 0.5  # of the rollout; a signal that covers less is left out
@@ -109,13 +111,14 @@ def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Me
     imu = {name: read(IMU, row, name) for name, row in IMU_ROWS.items()}
     foot_names, contact_row = _feet(recording, rig)
     contact = read(FOOT_CONTACTS, contact_row, "contact")
-    position = read(TRACKER_POSE, _position, "position")
+    scenario = span.scenario(int(joints.stamp[-1]))
+    position = _along_heading(read(TRACKER_POSE, _position, "position"), recording, span, scenario, notes)
     _say_missing(recording, rig, notes)
     attitude = imu["attitude"]
     return Measurement(
         rollout_id=span.rollout_id,
         rig=rig,
-        scenario=span.scenario(int(joints.stamp[-1])),
+        scenario=scenario,
         policy_id=span.policy_id,
         source=span.source,
         commands=read_commands(recording, joint_names, span.begin, span.end, notes),
@@ -228,6 +231,26 @@ IMU_ROWS = {
 def _position(message: Any) -> tuple[float, ...]:
     p = message.pose.position
     return (p.x, p.y, p.z)
+
+
+def _along_heading(
+    position: np.ndarray | None, recording: Recording, span: Span, scenario: Scenario, notes: list[str]
+) -> np.ndarray | None:
+    """(T, 3) positions turned, where the tracker's frame needs it, so that the robot begins along its scenario's
+    heading: the way forward is counted along that."""
+    poses = (r.message.pose for r in recording.records.get(TRACKER_POSE, []) if r.stamp >= span.begin)
+    o = next((pose.orientation for pose in poses), None)
+    seen = None if o is None else heading((o.x, o.y, o.z, o.w))
+    if position is None or seen is None:
+        return position
+    angle = remainder(wanted_heading(scenario) - seen, 2 * pi)
+    if abs(angle) < TURNED:
+        return position
+    notes.append(
+        f"{TRACKER_POSE}: the robot heads {degrees(seen):.0f} degrees left of the tracker's x axis at its start; "
+        f"positions are turned by {degrees(angle):.0f} degrees, so that the way counts along that heading"
+    )
+    return turned(position, angle)
 
 
 def _feet(recording: Recording, rig: str) -> tuple[tuple[str, ...], Callable[[Any], Any | None]]:

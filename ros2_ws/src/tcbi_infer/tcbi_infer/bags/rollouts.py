@@ -89,6 +89,8 @@ def _span(begin: Record, end: Record | None) -> Span:
     elif end.message.kind == ABORT:
         reason = read_note(end.message.note).text
         notes.append(f"the rollout was aborted{f' ({reason})' if reason else ''}; it is used as far as it went")
+    elif end is not begin and (said := read_note(end.message.note).text):
+        notes.append(f"its END says: {said}")
     return Span(
         rollout_id=message.rollout_id,
         begin=begin.stamp,
