@@ -6,11 +6,12 @@
 ./tcbi python bench/training.py --keep docs/learning_curve_balance.jsonl --figure docs/images/learning_curve_balance.svg
 
 Draws are from the prior of the hexapod as it is built in. `--keep FILE` holds one JSON line for each seed; what is
-there already is not run again, so a stopped run goes on. `--figure` draws the kept curves.
+there already of the same configuration is not run again, so a stopped run goes on. `--figure` draws the kept curves.
 """
 
 import argparse
 import dataclasses
+import hashlib
 import json
 import sys
 import tempfile
@@ -22,7 +23,7 @@ from scipy.special import stdtrit
 
 from tcbi_bringup.commands.bench import figure
 from tcbi_infer.report.plots import BLUE, GREY, STYLE, WIDE
-from tcbi_policy.configuration import preset
+from tcbi_policy.configuration import TrainingConfig, preset
 from tcbi_policy.training import Training
 from tcbi_sim.model import base_model
 
@@ -35,29 +36,42 @@ MEASURES = {  # of an evaluation, by task: key, label, factor
 }
 
 
-def trained(task: str, seed: int, steps: int) -> Result:
+def configured(task: str, seed: int, steps: int) -> TrainingConfig:
+    """The preset with a seed, on one thread; `steps` 0 for the preset's."""
+    config = preset("fast", task)
+    return dataclasses.replace(config, seed=seed, threads=1, steps=steps or config.steps)
+
+
+def facts(config: TrainingConfig) -> Result:
+    """By which a kept result is known to be of this configuration."""
+    digest = hashlib.sha256(json.dumps(dataclasses.asdict(config), sort_keys=True).encode()).hexdigest()[:12]
+    return {"task": config.task, "seed": config.seed, "steps": config.steps, "configuration": digest}
+
+
+def trained(config: TrainingConfig) -> Result:
     """One training from scratch, and its evaluations on draws that it does not see."""
-    config = dataclasses.replace(preset("fast", task), seed=seed, threads=1)
-    config = dataclasses.replace(config, steps=steps or config.steps)
     with tempfile.TemporaryDirectory() as folder:
         training = Training(Path(folder), config, base_model("hexapod"))
         training.run()
-    return {"task": task, "seed": seed, "steps": config.steps, "curve": training.state.curve}
+    return facts(config) | {"curve": training.state.curve}
 
 
 def results(task: str, seeds: range, steps: int, keep: Path | None) -> list[Result]:
-    """Of all seeds, those kept from an earlier run first."""
-    lines = keep.read_text().splitlines() if keep and keep.exists() else []
-    done = {r["seed"]: r for r in map(json.loads, lines) if r["task"] == task}
+    """Of all seeds, in their order; those kept from an earlier run of the same configuration are not run again."""
+    kept = [json.loads(line) for line in keep.read_text().splitlines()] if keep and keep.exists() else []
+    found = []
     for seed in seeds:
-        if seed in done:
-            continue
-        done[seed] = trained(task, seed, steps)
-        print(f"seed {seed}: {done[seed]['curve'][-1]}", file=sys.stderr, flush=True)
-        if keep:
-            with keep.open("a") as file:
-                file.write(json.dumps(done[seed]) + "\n")
-    return [done[seed] for seed in seeds]
+        config = configured(task, seed, steps)
+        mine = facts(config)
+        result = next((r for r in kept if {key: r.get(key) for key in mine} == mine), None)
+        if result is None:
+            result = trained(config)
+            print(f"seed {seed}: {result['curve'][-1]}", file=sys.stderr, flush=True)
+            if keep:
+                with keep.open("a") as file:
+                    file.write(json.dumps(result) + "\n")
+        found.append(result)
+    return found
 
 
 def figures(found: list[Result]) -> list[dict[str, Any]]:

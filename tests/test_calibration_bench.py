@@ -1,5 +1,6 @@
 """bench/calibration: what it counts is right, and a stopped run goes on where it was."""
 
+import dataclasses
 import importlib
 import json
 import sys
@@ -9,6 +10,9 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
+
+from tcbi_sim.rigs import load_rig
 
 FOLDER = Path(__file__).resolve().parents[1] / "bench" / "calibration"
 NAMES = ("figures", "jobs", "truths", "main")
@@ -66,6 +70,38 @@ def test_errors_coverage_and_the_ratio_to_another_method(bench) -> None:
     assert not value(narrow, "calibrated: 90 % intervals that hold the truth, of 100")["met"]
 
 
+def test_ranks_are_judged_for_each_parameter_with_holms_correction(bench) -> None:
+    rng = np.random.default_rng(0)
+    found = [result(bench, i, "calibrated", 0.0) for i in range(60)]
+    for one in found:
+        (friction,) = one["parameters"]
+        friction["rank"] = rng.random()
+        one["parameters"] += [{**friction, "name": "mass"}, {**friction, "name": "gain", "rank": 0.3 * rng.random()}]
+    rows = bench["figures"].figures(found)
+    alone = kstest([one["parameters"][0]["rank"] for one in found], "uniform").pvalue
+    assert value(rows, "uniform ranks of friction, by Holm for 3")["value"] == round(min(1.0, 2 * alone), 3)
+    assert value(rows, "uniform ranks of gain")["value"] == 0.0
+
+
+def test_holms_correction_is_the_textbooks(bench) -> None:
+    assert bench["figures"].holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert bench["figures"].holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+def test_the_error_with_noise_is_compared_with_that_without(bench) -> None:
+    found = [result(bench, i, "calibrated", 0.1) for i in range(10)]
+    assert not any("without noise" in row["name"] for row in bench["figures"].figures(found))
+    for noise, error in ((0.02, 0.12), (0.08, 0.15)):
+        noisy = [result(bench, i, "calibrated", error) for i in range(10)]
+        for one in noisy:
+            one["case"]["noise"] = noise
+        found += noisy
+    rows = bench["figures"].figures(found)
+    little, much = (value(rows, f"noise {n}, alpha=5: calibrated: error over that without noise") for n in (0.02, 0.08))
+    assert (little["value"], little["target"], little["met"]) == (1.2, 1.25, True)
+    assert (much["value"], much["met"]) == (1.5, False)
+
+
 def test_a_stopped_run_goes_on_and_a_line_that_was_cut_off_is_run_again(bench, tmp_path, monkeypatch, capsys) -> None:
     keep, ran, main = tmp_path / "kept.jsonl", [], bench["main"]
 
@@ -92,6 +128,16 @@ def test_an_inference_of_a_known_truth_is_judged(bench, source: str) -> None:
     assert [p["name"] for p in found["parameters"]] == ["friction", "mass", "gain"]
     assert found["closed_loop"] and found["simulations"] == 40
     assert all(p["low90"] <= p["high90"] and 0 <= p["rank"] <= 1 for p in found["parameters"])
+
+
+def test_a_models_readings_have_the_rigs_noise_positions_and_encoder_steps_too(bench) -> None:
+    noise = load_rig("hexapod").noise
+    _, (m, _) = bench["truths"].recorded("model", "balance", 0, 2, 1.0)
+    clean = dataclasses.replace(m, position=np.zeros((4000, 3)))
+    noisy = bench["truths"].noisy(clean, noise, np.random.default_rng(0))
+    assert noisy.position.std() == pytest.approx(noise.position, rel=0.05)
+    steps = m.joint_position / noise.encoder_step
+    assert np.allclose(steps, np.round(steps), atol=1e-9)
 
 
 def test_noise_of_equation_14_has_the_size_asked_for(bench) -> None:

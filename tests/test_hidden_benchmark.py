@@ -1,5 +1,6 @@
 """The hidden-effect benchmark counts what a diagnosis says as what it is; its robots are those asked for."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,10 @@ def result(hidden: str, verdict: str, *uses: str, effect: dict[str, Any] | None 
     truth = {"friction": 0.7, "mass": 0.8, "gain": 2.5, "effect": effect or {}}
     return {
         **{"hidden": hidden, "strength": "strong", "seed": 1, "verdict": verdict, "uses": list(uses), "truth": truth},
-        **{"first": uses[0] if uses else "", "ranking": [], "base": [], "errors": [9.0, 1.1]},
-        **{"wall_s": 50.0, "cpu_s": 40.0, "peak_mib": 200.0, **more},
+        **{"first": uses[0] if uses else "", "ranking": [], "base": [], "rounds": []},
+        **{"found": list(uses[:1]) if verdict == "effect" else []},
+        **{"errors": {"unfitted": 9.0, "fitted": 3.0, "added": 1.1}},
+        **{"wall_s": 50.0, "cpu_s": 40.0, "peak_mib": 200.0, "at_once": 2, "plan": "quick", "format": 2, **more},
     }
 
 
@@ -65,11 +68,41 @@ def test_of_two_effects_both_must_be_found_and_no_third(found: list[str], word: 
     assert outcome(result("backlash+payload", verdict, *found[:1], effect=PAIR, found=found)) == word
 
 
-def test_a_robot_of_an_older_run_counts_what_its_only_diagnosis_named() -> None:
-    from hidden_effects.truth import found
+@pytest.mark.parametrize(
+    ("kept", "words"),
+    [
+        ({"format": 1}, "line 2: a result of format 1, allowed is 2"),
+        ({"format": None}, "a result of format None"),
+        ({}, "a result of format 1"),
+        ("{cut off", "line 2: no result of this benchmark"),
+        ("[]", "line 2: no result of this benchmark"),
+    ],
+)
+def test_kept_results_of_another_format_are_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], kept: Any, words: str
+) -> None:
+    from hidden_effects.main import main
 
-    assert found(result("payload", "effect", "payload")) == ["payload"]
-    assert found(result("payload", "cannot_tell", "payload", "backlash")) == []
+    new = result("none", "nothing_missing")
+    old = {k: v for k, v in new.items() if k != "format"}
+    keep = tmp_path / "kept.jsonl"
+    keep.write_text(json.dumps(new) + "\n" + (kept if isinstance(kept, str) else json.dumps({**old, **kept})) + "\n")
+    monkeypatch.setattr("sys.argv", ["hidden", "--hidden", "none", "--seeds", "1:2", "--keep", str(keep)])
+    assert main() == 1
+    told = capsys.readouterr().err
+    assert words in told and told.count("\n") == 1
+
+
+def test_kept_results_of_this_format_give_the_figures_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hidden_effects.main import main
+
+    keep = tmp_path / "kept.jsonl"
+    keep.write_text(json.dumps(result("none", "nothing_missing")) + "\n")
+    monkeypatch.setattr("sys.argv", ["hidden", "--hidden", "none", "--seeds", "1:2", "--keep", str(keep)])
+    assert main() == 0
+    assert json.loads(capsys.readouterr().out)["name"] == "hidden"
 
 
 def test_first_and_alike_are_counted_apart_from_the_verdict() -> None:
@@ -81,7 +114,7 @@ def test_first_and_alike_are_counted_apart_from_the_verdict() -> None:
     assert ranked_first(result("payload", "nothing_missing", first="payload"))
 
 
-def test_an_interval_is_held_against_the_true_size_of_what_was_found() -> None:
+def test_an_interval_is_held_against_the_true_size_wherever_the_effect_was_fitted() -> None:
     from hidden_effects.truth import size_hits
 
     def fitted(low: float, high: float) -> list[dict[str, Any]]:
@@ -90,9 +123,13 @@ def test_an_interval_is_held_against_the_true_size_of_what_was_found() -> None:
     for later in (fitted(0.04, 0.06), fitted(0.06, 0.08)):
         told = result("backlash+payload", "effect", "payload", effect=PAIR, found=["payload", "backlash"])
         told |= {"ranking": [{"use": "payload", "parameters": []}], "rounds": [{"ranking": later}]}
-        assert list(size_hits(told)) == [("backlash", later[0]["parameters"][0]["low90"] < 0.05)]
-    missed = result("backlash", "nothing_missing", effect=PAIR["backlash"], ranking=fitted(0.04, 0.06))
-    assert not list(size_hits(missed))
+        assert list(size_hits(told)) == [("backlash", later[0]["parameters"][0]["low90"] < 0.05, True)]
+    again = result("backlash+payload", "effect", "payload", effect=PAIR, found=["payload", "backlash"])
+    again |= {"ranking": fitted(0.08, 0.09), "rounds": [{"ranking": fitted(0.04, 0.06)}]}
+    assert list(size_hits(again)) == [("backlash", True, True)], "the fit that named it counts"
+    missed = result("backlash", "nothing_missing", effect=PAIR["backlash"], ranking=fitted(0.06, 0.08))
+    assert list(size_hits(missed)) == [("backlash", False, False)], "an effect that was not named counts, too"
+    assert not list(size_hits(result("backlash", "nothing_missing", effect=PAIR["backlash"])))
 
 
 def test_figures_stand_beside_their_targets() -> None:
@@ -108,9 +145,36 @@ def test_figures_stand_beside_their_targets() -> None:
     assert told["the same, at most, with 95 % confidence"]["value"] == pytest.approx(1 - 0.05 ** (1 / 20), abs=1e-3)
     first = told["strong effects ranked first"]
     assert (first["value"], first["unit"], first["met"]) == (0.9, "of 10", False)
-    assert told["90 % intervals of effects' sizes that hold the truth"]["target"] == "0.85 to 0.95"
+    missed = result("payload", "effect", "backlash", effect={"mass_kg": 0.5}, ranking=fitted)
+    sizes = {f["name"]: f for f in figures([*found, missed]) if f["name"].startswith("90 % intervals of effects'")}
+    (every, named), unsized = sizes.values(), "90 % intervals of effects' sizes that hold the truth"
+    assert list(sizes) == [f"{unsized}, wherever fitted", f"{unsized}, effects that were named"]
+    assert (every["value"], every["unit"], every["target"]) == (0.9, "of 10", "0.85 to 0.95")
+    assert (named["value"], named["unit"], named["target"]) == (1.0, "of 9", None)
     assert told["intervals of payload that hold the truth"]["value"] == 1.0
     assert told["outside the library: flagged"]["met"] and told["payload (strong): wrong"]["value"] == 1
+
+
+def test_what_an_effect_brings_stands_beside_what_fitting_alone_brings() -> None:
+    from hidden_effects.figures import figures
+
+    wrong = {"unfitted": 9.0, "fitted": 5.0, "added": 5.0}
+    found = [result("payload", "effect", "payload"), result("none", "nothing_missing")]
+    found += [result("cogging", "nothing_missing", errors=wrong) for _ in range(3)]
+    name = "median error over the floor on unseen motions, "
+    told = {f["name"].removeprefix(name): f for f in figures(found) if f["name"].startswith(name)}
+    right, every = "named right: ", "every robot with an effect: "
+    versions = (
+        "model as it was, not fitted",
+        "without an effect, parameters fitted",
+        "with what was named, parameters fitted",
+    )
+    assert [told[right + v]["value"] for v in versions] == [9.0, 3.0, 1.1]
+    assert [told[every + v]["value"] for v in versions] == [9.0, 5.0, 5.0]
+    assert [told[right + v]["target"] for v in versions] == [None, None, 1.2] and told[right + versions[0]][
+        "unit"
+    ] == "of 1"
+    assert "median wall time of a diagnosis, up to 2 at once" in {f["name"] for f in figures(found)}
 
 
 def test_the_confusion_matrix_says_who_was_taken_for_whom() -> None:

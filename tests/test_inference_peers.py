@@ -1,5 +1,6 @@
 """bench/inference_peers.py: when a peer's error is as small as TCBI's, and stays so."""
 
+import dataclasses
 import importlib
 import json
 import sys
@@ -9,6 +10,12 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+
+from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Scenario
+from tcbi_sim.model import base_model
 
 FOLDER = Path(__file__).resolve().parents[1] / "bench"
 
@@ -60,3 +67,33 @@ def test_a_line_that_was_cut_off_is_run_again(bench, tmp_path, capsys):
     file.write_text(json.dumps(truth(3)) + '\n{"truth": 4, "par')
     assert [r["truth"] for r in bench.kept(file)] == [3]
     assert "left out" in capsys.readouterr().err
+
+
+def test_tcbis_mean_is_taken_on_the_scale_of_its_peers(bench, monkeypatch):
+    peers, problem = sys.modules["peers.inference"], servo_problem()
+    found = []
+
+    def kept(*args, **settings):
+        found.append(infer(*args, **settings))
+        return found[0]
+
+    monkeypatch.setattr(peers, "infer", kept)
+    monkeypatch.setattr(peers, "POPULATION", 10)
+    last = peers.with_tcbi(problem, 0, 1)[-1]
+    weights = np.exp(found[0].log_weights)
+    mean = weights @ found[0].unit
+    assert last.mean == pytest.approx(mean)
+    assert last.sd == pytest.approx(np.sqrt(weights @ (found[0].unit - mean) ** 2))
+    assert not np.allclose(problem.model.to_unit(weights @ found[0].particles), mean, atol=0.01)
+
+
+def servo_problem() -> Problem:
+    """Random steps of a servo bench, whose parameters have logarithmic scales."""
+    model, rng = base_model("servo_bench"), np.random.default_rng(0)
+    times = np.arange(0.0, 1.0, 0.25)
+    commands = [Commands(times, rng.uniform(-1, 1, (len(times), 1))) for _ in range(3)]
+    scenarios = [Scenario("steps", 1.0, seed=i) for i in range(3)]
+    rollouts = simulate(model, model.mean(), scenarios, commands=commands)
+    measured = [rollouts.measurement(0, i, f"steps-{i}") for i in range(3)]
+    measured = [dataclasses.replace(m, commands=c) for m, c in zip(measured, commands, strict=True)]
+    return Problem.of(model, measured, timestep=0.01)

@@ -1,5 +1,6 @@
 """What many inferences of known truths say together: errors, coverage, calibration, and TCBI against the others."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,21 +12,25 @@ Result = dict[str, Any]
 Row = dict[str, Any]
 TARGET_ERROR = {"friction": 0.06, "mass": 0.08, "gain": 0.10}  # walking, 20 rollouts
 TARGET_COVERAGE = (0.85, 0.95)
+TARGET_NOISE = 1.25  # error with noise over error without
 FLAT_SD = 12**-0.5  # of a flat prior, in shares of its range
 RESAMPLES = 2000
 TCBI = "calibrated"
 
 
 def figures(found: list[Result]) -> list[Row]:
-    """Rows of every group of equal cases, then TCBI against each other method where both had the same truths."""
+    """Rows of every group of equal cases, then with noise against without, and TCBI against each other method."""
     rows, groups = [], grouped(found)
     for name, group in groups.items():
         rows += _of(name, group)
     for name, group in groups.items():
         case = group[0]["case"]
-        own = groups.get(title({**case, "method": TCBI}), [])
-        if case["method"] != TCBI and own:
-            rows += _against(name, group, own)
+        own, quiet = groups.get(title({**case, "method": TCBI}), []), groups.get(title({**case, "noise": 0}), [])
+        if case["noise"]:
+            most = TARGET_NOISE if case["method"] == TCBI else None
+            rows += _ratio(f"{name}: error over that without noise", group, quiet, most)
+        if case["method"] != TCBI:
+            rows += _ratio(f"{name}: {TCBI}'s error over its", own, group, 1.0)
     return rows
 
 
@@ -76,8 +81,12 @@ def _of(name: str, group: list[Result]) -> list[Row]:
         )
         for i in range(len(group[0]["parameters"]))
     ]
-    ranks = [p["rank"] for p in every]
-    rows.append(figure(f"{name}: p-value of uniform ranks", float(kstest(ranks, "uniform").pvalue), "1"))
+    names = [p["name"] for p in group[0]["parameters"]]
+    values = holm([kstest([r["parameters"][i]["rank"] for r in group], "uniform").pvalue for i in range(len(names))])
+    rows += [
+        figure(f"{name}: p-value of uniform ranks of {p}, by Holm for {len(names)}", value, "1")
+        for p, value in zip(names, values, strict=True)
+    ]
     rows.append(
         figure(
             f"{name}: width of posteriors over the prior's",
@@ -93,10 +102,19 @@ def _of(name: str, group: list[Result]) -> list[Row]:
     return rows
 
 
-def _against(name: str, other: list[Result], own: list[Result]) -> list[Row]:
-    """Ratio of TCBI's root mean squared error to the other's on truths that both had, with a bootstrap interval."""
-    theirs = {r["case"]["truth"]: squares(r) for r in other}
-    pairs = np.array([(squares(r), theirs[r["case"]["truth"]]) for r in own if r["case"]["truth"] in theirs])
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Each of several p-values, corrected by Holm's method so that one below a level is as rare as a single one."""
+    n, corrected, highest = len(p_values), [0.0] * len(p_values), 0.0
+    for k, i in enumerate(np.argsort(p_values)):
+        highest = max(highest, min(1.0, (n - k) * float(p_values[i])))
+        corrected[i] = highest
+    return corrected
+
+
+def _ratio(words: str, over: list[Result], under: list[Result], most: float | None) -> list[Row]:
+    """Ratio of root mean squared errors on truths that both groups have, with a bootstrap interval."""
+    theirs = {r["case"]["truth"]: squares(r) for r in under}
+    pairs = np.array([(squares(r), theirs[r["case"]["truth"]]) for r in over if r["case"]["truth"] in theirs])
     if len(pairs) < 2:
         return []
     picked = np.random.default_rng(0).integers(len(pairs), size=(RESAMPLES, len(pairs)))
@@ -104,8 +122,7 @@ def _against(name: str, other: list[Result], own: list[Result]) -> list[Row]:
     ratios = np.sqrt(sums[:, 0] / np.maximum(sums[:, 1], 1e-12))
     low, high = np.quantile(ratios, [0.05, 0.95])
     value = float(np.sqrt(pairs[:, 0].sum() / max(pairs[:, 1].sum(), 1e-12)))
-    text = f"{name}: {TCBI}'s error over its, {len(pairs)} truths, 90 % {low:.2f} to {high:.2f}"
-    return [figure(text, value, "1", most=1.0)]
+    return [figure(f"{words}, {len(pairs)} truths, 90 % {low:.2f} to {high:.2f}", value, "1", most=most)]
 
 
 def squares(result: Result) -> float:

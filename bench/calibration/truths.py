@@ -67,12 +67,16 @@ def with_state_noise(rollouts: list[Measurement], sigma: float, seed: int) -> li
 
 
 def noisy(m: Measurement, noise: Noise, rng: np.random.Generator) -> Measurement:
-    """A measurement with white noise on its readings."""
-    attitude, rates = m.attitude, m.angular_velocity
+    """A measurement with white noise on its readings, and joint angles in the encoder's steps."""
+    attitude, rates, position = m.attitude, m.angular_velocity, m.position
     if attitude is not None and noise.attitude > 0:
         roll, pitch = noise.attitude * rng.standard_normal((2, len(attitude)))
         attitude = multiply(attitude, quaternion_from_rpy(roll, pitch, np.zeros_like(roll)))
     if rates is not None:
         rates = rates + noise.angular_velocity * rng.standard_normal(rates.shape)
     joints = m.joint_position + noise.joint_position * rng.standard_normal(m.joint_position.shape)
-    return dataclasses.replace(m, joint_position=joints, attitude=attitude, angular_velocity=rates)
+    if noise.encoder_step > 0:
+        joints = noise.encoder_step * np.rint(joints / noise.encoder_step)
+    if position is not None:
+        position = position + noise.position * rng.standard_normal(position.shape)
+    return dataclasses.replace(m, joint_position=joints, attitude=attitude, angular_velocity=rates, position=position)

@@ -21,6 +21,7 @@ from hidden_effects.figures import figures
 from hidden_effects.outcomes import as_text, confusion, outcome
 from hidden_effects.robots import PLANS, Job, Result, results
 from tcbi_bringup.emulated_robot.hidden_names import DRAWN, LIBRARY, NONE, OUTSIDE, STRENGTHS, hidden
+from tcbi_bringup.errors import BringupError
 
 SETS = {"six": (NONE, *DRAWN), "all": (NONE, *LIBRARY)}
 JUDGED, JUDGED_EMPTY = range(800, 805), range(800, 900)  # robots that nothing is ever chosen on
@@ -30,8 +31,11 @@ PAIRED = (*DRAWN, "command_deadband", "imu_tilt", "rotor_inertia", "torque_satur
 def main() -> int:
     """Measure and print."""
     options = parser().parse_args()
-    jobs = jobs_of(options)
-    found = list(results(jobs, options.keep, options.workers, progress))
+    try:
+        found = list(results(jobs_of(options), options.keep, options.workers, progress))
+    except BringupError as error:
+        print(error, file=sys.stderr)
+        return 1
     table = confusion(found)
     print(as_text(table), file=sys.stderr)
     print(json.dumps({"name": "hidden", "figures": figures(found), "confusion": table}, indent=2))

@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import Any
 
-from hidden_effects.truth import Result, found, outside, right_uses
+from hidden_effects.truth import Result, outside, right_uses
 from tcbi_bringup.emulated_robot.hidden_names import NONE, parts
 from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, NOTHING_MISSING, OUTSIDE_LIBRARY
 
@@ -66,7 +66,7 @@ def as_text(table: dict[str, dict[str, int]]) -> str:
 
 
 def _of_several(result: Result) -> str:
-    named, right = set(found(result)), right_uses(result)
+    named, right = set(result["found"]), right_uses(result)
     if not named:
         return MISSED
     if right <= named:
@@ -77,4 +77,4 @@ def _of_several(result: Result) -> str:
 def _said(result: dict[str, Any]) -> str:
     if result["verdict"] != EFFECT:
         return str(result["verdict"]).replace("_", " ")
-    return " + ".join(use.partition(":")[0] for use in found(result))
+    return " + ".join(use.partition(":")[0] for use in result["found"])

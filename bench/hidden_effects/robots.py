@@ -13,6 +13,7 @@ from tcbi_bringup.demo.plan import FULL, QUICK, Plan, Recording, recordings, slo
 from tcbi_bringup.emulated_robot.as_measurement import measure
 from tcbi_bringup.emulated_robot.hidden_names import parts
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
+from tcbi_bringup.errors import BringupError
 from tcbi_infer.collection import Request, scenario_of
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.diagnose.adopt import adopt
@@ -30,6 +31,7 @@ BENCH = dataclasses.replace(
     motion_s=5.0,
     effects=(),
 )
+FORMAT = 2  # of kept results; 1 had no base model fitted for comparison
 PLANS = {"quick": QUICK, "full": FULL, "bench": BENCH}
 Job = tuple[str, str, str, int]  # plan, hidden, strength, seed
 Result = dict[str, Any]
@@ -49,7 +51,9 @@ def recorded(robot: EmulatedRobot, wanted: list[Recording], duration: float, see
 def judged(job: Job) -> Result:
     """Record a robot, diagnose it, add what is found, and judge the new version on motions that no fit has seen.
 
-    A robot with several effects is diagnosed again with what was found in the model, until no effect is found.
+    A robot with several effects is diagnosed again with what was found in the model, until no effect is found. `errors`
+    are over the noise floor: of the model that was diagnosed, of the same with its parameters fitted, and of the new
+    version.
     """
     plan_name, hidden, strength, seed = job
     plan = PLANS[plan_name]
@@ -61,13 +65,14 @@ def judged(job: Job) -> Result:
     found, added = _diagnosed(model, seen, plan, MOST if len(parts(hidden)) > 1 else 1)
     spent = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
     floor = compare(model, seen, particles=0).floor
-    errors = [compare(m, unseen, particles=0, floor=floor).error_over_floor for m in (model, added)]
+    versions = {"unfitted": model, "fitted": adopt(model, "", found[0].to_json()), "added": added}
     return {
+        "format": FORMAT,
         **dict(zip(("plan", "hidden", "strength", "seed"), job, strict=True)),
         **_told(found[0]),
         "found": [use for d in found if d.verdict == EFFECT for use in d.uses[:1]],
         "rounds": [_told(d) for d in found[1:]],
-        "errors": errors,
+        "errors": {name: compare(m, unseen, particles=0, floor=floor).error_over_floor for name, m in versions.items()},
         "truth": robot.specimen.truth(),
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         **spent,
@@ -111,19 +116,36 @@ def results(
       keep: file of one JSON line for each robot; new ones are added to it.
       workers: processes.
       progress: called with how many of how many are done, the seconds left, and the newest result.
+
+    Raises:
+      BringupError: `keep` holds something else, or results of an older format.
     """
-    done: dict[Job, Result] = {}
-    if keep and keep.exists():
-        for line in keep.read_text().splitlines():
-            old = json.loads(line)
-            done[old["plan"], old["hidden"], old["strength"], old["seed"]] = old
+    done = _kept(keep) if keep and keep.exists() else {}
     yield from (done[job] for job in jobs if job in done)
     left = [job for job in jobs if job not in done]
     began = time.monotonic()
     with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=1) as pool:
         for i, result in enumerate(pool.imap_unordered(judged, left), 1):
+            result["at_once"] = workers
             if keep:
                 with keep.open("a") as file:
                     file.write(json.dumps(result, default=str) + "\n")
             progress(i, len(left), (time.monotonic() - began) / i * (len(left) - i), result)
             yield result
+
+
+def _kept(keep: Path) -> dict[Job, Result]:
+    done: dict[Job, Result] = {}
+    for number, line in enumerate(keep.read_text().splitlines(), 1):
+        try:
+            old = json.loads(line)
+            seen = old.get("format", 1)
+            done[old["plan"], old["hidden"], old["strength"], old["seed"]] = old
+        except (ValueError, KeyError, AttributeError) as e:
+            raise BringupError(f"{keep}, line {number}: no result of this benchmark; remove the line") from e
+        if seen != FORMAT:
+            raise BringupError(
+                f"{keep}, line {number}: a result of format {seen}, allowed is {FORMAT}; its figures mean something "
+                "else, so give --keep another file"
+            )
+    return done

@@ -48,30 +48,28 @@ def right_uses(result: Result) -> set[str]:
     return {_use(name, told) for name, told in _effects(result)}
 
 
-def size_hits(result: Result) -> Iterator[tuple[str, bool]]:
-    """Effect, and whether the interval of one of its parameters holds the truth, where it was found in its place."""
-    rankings = [result["ranking"], *(later["ranking"] for later in result.get("rounds", ()))]
-    fitted = {e["use"]: e for ranking in reversed(rankings) for e in ranking}
+def size_hits(result: Result) -> Iterator[tuple[str, bool, bool]]:
+    """Effect, whether the interval of one of its parameters holds the truth, and whether the effect was named.
+
+    Every effect counts that was fitted in its place, by its last fit: where it was named, the one that named it.
+    """
+    rankings = [result["ranking"], *(later["ranking"] for later in result["rounds"])]
+    fitted = {e["use"]: e for ranking in rankings for e in ranking}
     for name, told in _effects(result):
         use = _use(name, told)
-        if use not in found(result):
+        if use not in fitted:
             continue
         values = {p["name"].rpartition(".")[2]: p for p in fitted[use]["parameters"]}
         for parameter, key in SIZES.get(name, ()):
             if parameter in values and key in told:
-                yield name, values[parameter]["low90"] <= told[key] <= values[parameter]["high90"]
+                holds = values[parameter]["low90"] <= told[key] <= values[parameter]["high90"]
+                yield name, holds, use in result["found"]
 
 
 def base_hits(result: Result) -> list[bool]:
     """Whether each interval of the base model's parameters holds the true value."""
     truth = result["truth"]
     return [p["low90"] <= float(truth[p["name"]]) <= p["high90"] for p in result["base"] if p["name"] in BASE]
-
-
-def found(result: Result) -> list[str]:
-    """Uses that were named, in the order in which they were found."""
-    named = result.get("found")
-    return list(named) if named is not None else result["uses"] if result["verdict"] == "effect" else []
 
 
 def finite(value: float | None) -> float:

@@ -44,9 +44,8 @@ def with_tcbi(problem: Problem, seed: int, generations: int) -> list[Belief]:
     result, spent, beliefs = infer(problem, seed=seed, particles=POPULATION, generations=generations), 0.0, []
     for entry in result.generations:
         spent += entry["wall_s"]
-        mean = problem.model.to_unit(np.array(entry["mean"]))
         sd = np.sqrt(np.array(entry["variance_ratio"]) / 12)
-        beliefs.append(Belief(spent, POPULATION * entry["generation"], mean, sd))
+        beliefs.append(Belief(spent, POPULATION * entry["generation"], np.array(entry["unit_mean"]), sd))
     return beliefs
 
 

@@ -1,11 +1,14 @@
 """`./tcbi policy --onnx` and `./tcbi tasks`: one answer, one line for each fault, exit status."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import pytest
 
 from tcbi_bringup import cli
+from tcbi_bringup.commands.retrain import newest
+from tcbi_policy.artefact import Policy, find_policy, save_policy
 
 WAIT = """
 from tcbi_policy.reward import action_term
@@ -63,3 +66,21 @@ def test_a_check_says_what_is_wrong_and_ends_with_status_1(tmp_path: Path, capsy
     file.write_text(WAIT.format(duration=4.0))
     assert cli.main(["tasks", "check", str(file)]) == 0
     assert "fit for use" in capsys.readouterr().out
+
+
+def test_a_damaged_policy_is_left_out_with_a_note_that_names_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    policies = tmp_path / "policies"
+    save_policy(policies / "mine", shipped.mlp, dataclasses.replace(shipped.card, name="mine", created="2026"))
+    save_policy(policies / "damaged", shipped.mlp, dataclasses.replace(shipped.card, name="damaged", created="2027"))
+    (policies / "damaged.json").write_text("{")
+    assert cli.main(["policy", "--store", str(tmp_path), "--json"]) == 0
+    captured = capsys.readouterr()
+    listed = [p["policy_id"].partition("@")[0] for p in json.loads(captured.out)["policies"]]
+    assert "mine" in listed and "damaged" not in listed
+    assert "left out" in captured.err and "damaged.safetensors" in captured.err and captured.err.count("\n") == 1
+    assert newest("balance", tmp_path) == "mine"
+    assert "damaged.safetensors" in capsys.readouterr().err

@@ -55,3 +55,9 @@ def test_a_log_that_cannot_be_copied_is_one_line_after_the_policy_is_kept(
     with pytest.raises(BringupError, match=r"saved as .*mine.safetensors, but .*No space left.* stays in .*run"):
         train._publish(run, "mine", tmp_path)
     assert find_policy("mine", tmp_path).policy_id.startswith("mine@") and run.is_dir()
+
+
+def test_an_evaluation_in_which_all_diverged_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    means = dict.fromkeys(("mean_return", "sd_return", "final_inclination_deg", "distance_m"))
+    train.follow({"event": "evaluation", "steps": 0, "rollouts": 48, "diverged": 48, **means}, lambda **_: None)
+    assert "0 steps: return nan" in (said := capsys.readouterr().err) and "48 of 48 diverged" in said

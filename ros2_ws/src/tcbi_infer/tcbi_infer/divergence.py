@@ -11,13 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
 from tcbi_sim.errors import UnknownNameError
 
 BINS = 20
+NARROW = 0.1  # share of the samples' whole range, below which the real ones' range is no measure of distance
 LOG2 = float(np.log(2.0))  # the largest Jensen-Shannon divergence, in nats
 
 Divergence = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -90,7 +90,8 @@ def js_nearest(real: np.ndarray, simulated: np.ndarray, k: int = 10) -> np.ndarr
     """Jensen-Shannon divergence by nearest neighbours: the information that a sample holds about its origin.
 
     Draws as many samples of either side (evenly spaced ones, so nothing is random) and estimates the posterior of the
-    origin from the `k` nearest of the pooled samples. Between 0 and log 2, without bins, slower than `js`.
+    origin from the `k` nearest of the pooled samples, and from all that are as near as the last of these. Between 0
+    and log 2, without bins, slower than `js`.
     """
     real = np.sort(real[np.isfinite(real)])
     values = np.empty(len(simulated))
@@ -106,23 +107,42 @@ def _spread(values: np.ndarray, n: int) -> np.ndarray:
 
 
 def _js_nearest_pair(a: np.ndarray, b: np.ndarray, k: int) -> float:
-    pooled = np.concatenate([a, b])[:, None]
-    origin = np.repeat([0.0, 1.0], len(a))
-    _, near = cKDTree(pooled).query(pooled, k=k + 1)
-    share = np.clip(origin[near[:, 1:]].mean(axis=1), 1e-12, 1 - 1e-12)
+    pooled = np.concatenate([a, b])
+    order = np.argsort(pooled)
+    x, own = pooled[order], order >= len(a)  # own: whether a sample is one of b
+    radius = _distance_to_nearest(x, k) + 2 * np.spacing(np.abs(x).max())
+    low, high = x - radius, x + radius
+    near_a, near_b = (np.searchsorted(side, high, "right") - np.searchsorted(side, low) for side in (a, b))
+    share = np.clip((near_b - own) / (near_a + near_b - 1), 1e-12, 1 - 1e-12)
     entropy = -np.mean(share * np.log(share) + (1 - share) * np.log(1 - share))
     return float(np.clip(LOG2 - entropy, 0.0, LOG2))
 
 
+def _distance_to_nearest(x: np.ndarray, k: int) -> np.ndarray:
+    """(n,) distance of each sample to the k-th nearest of the others; (n,) in order of size."""
+    padded = np.pad(x, k, constant_values=(-np.inf, np.inf))
+    n = len(x)
+    return np.min([np.maximum(x - padded[i : i + n], padded[i + k : i + k + n] - x) for i in range(k + 1)], axis=0)
+
+
 def wasserstein(real: np.ndarray, simulated: np.ndarray, points: int = 200) -> np.ndarray:
-    """First Wasserstein distance, in shares of the real samples' range (so that statistics can be added)."""
-    finite = real[np.isfinite(real)]
+    """First Wasserstein distance, in shares of the real samples' range (so that statistics can be added).
+
+    Where that range is less than `NARROW` of what real and simulated samples span together, as of a statistic that is
+    constant on the robot, it is in shares of `NARROW` of the latter: never above 1 / `NARROW`.
+    """
+    finite = _finite(real)
     levels = (np.arange(points) + 0.5) / points
-    span = max(float(np.ptp(finite)), 1e-9 * max(abs(float(finite.max())), 1e-3))
-    quantiles = np.array(
-        [np.quantile(r, levels) if r.size else np.full(points, np.inf) for r in map(_finite, simulated)]
-    )
-    return np.abs(quantiles - np.quantile(finite, levels)).mean(axis=1) / span
+    wanted = np.quantile(finite, levels)
+    least = max(float(np.ptp(finite)), 1e-9 * max(float(np.abs(finite).max()), 1e-3))
+
+    def distance(row: np.ndarray) -> float:
+        if not row.size:
+            return 1 / NARROW
+        span = max(least, NARROW * float(max(row.max(), finite.max()) - min(row.min(), finite.min())))
+        return float(np.abs(np.quantile(row, levels) - wanted).mean() / span)
+
+    return np.array([distance(_finite(row)) for row in simulated])
 
 
 def _finite(row: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The methods that TCBI is compared with: each is what its source says, where that can be computed another way."""
 
+import dataclasses
 import importlib
 
 import numpy as np
@@ -9,7 +10,9 @@ from tcbi_cases import BENCH_TRUTH, bench_rollouts
 from tcbi_infer.baselines import abc_smc, bayesopt, budget, npe, rejection, simopt
 from tcbi_infer.baselines.trajectory import Trajectories, distance, observe, trajectories, weights
 from tcbi_infer.errors import InferError, MissingExtraError
+from tcbi_infer.tcbi import paper
 from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.method import METHODS, find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.proposal import to_probit
@@ -66,6 +69,20 @@ def test_equation_8_is_the_literal_sum_over_time() -> None:
         assert distance(seen, scale, 0.5, 1.0)[n] == pytest.approx(np.mean(total))
     assert np.all(observe(problem).absolute == 0)
     assert distance(seen, weights(seen), 0.0, 1.0)[0] < distance(seen, weights(seen), 0.0, 1.0)[1]
+
+
+def test_rollouts_with_missing_samples_leave_the_summary_of_the_others() -> None:
+    """The real rollouts among the simulated ones: their summaries must agree where samples are missing, too."""
+    model, whole = bench_rollouts(count=4)
+    gap = whole[0].joint_position.copy()
+    gap[20:24] = np.nan
+    problem, rest = (
+        Problem.of(model, m, timestep=0.01)
+        for m in ([dataclasses.replace(whole[0], joint_position=gap), *whole[1:]], whole[1:])
+    )
+    assert observe(problem).summary == pytest.approx(observe(rest).summary)
+    measured = [group.arrays for group in Problem.of(model, whole, timestep=0.01).groups]
+    assert trajectories(problem, measured, np.ones(1, bool)).summary == pytest.approx(observe(problem).summary)
 
 
 def test_rejection_keeps_the_nearest_draws_of_the_prior() -> None:
@@ -165,14 +182,22 @@ def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(monkeypat
         find_method("bayesopt")
 
 
-@pytest.mark.parametrize("module", [rejection, abc_smc, simopt, bayesopt])
+@pytest.mark.parametrize("module", [rejection, abc_smc, simopt, bayesopt, paper])
 def test_all_simulations_diverged_is_an_error(module) -> None:
-    begin = getattr(module, "begin", budget.begin)
     settings = METHODS[module.__name__.rpartition(".")[2]].settings(particles=20)
     if module is bayesopt:
         pytest.importorskip("optuna")
-    with pytest.raises(InferError, match="simulations diverged"):
-        module.step(np.random.default_rng(0), begin(1, REAL), diverged, settings)
+
+    def simulate(unit: np.ndarray) -> Features:
+        return Features(np.zeros(0), np.full((len(unit), 1), 0.5), np.zeros(len(unit)), np.zeros(len(unit), bool))
+
+    with pytest.raises(InferError, match="all 20 simulations diverged"):
+        if module is paper:
+            state = paper.init(np.random.default_rng(0), 1, settings)
+            paper.step(np.random.default_rng(0), state, simulate, lambda divergence: divergence, settings)
+        else:
+            begin = getattr(module, "begin", budget.begin)
+            module.step(np.random.default_rng(0), begin(1, REAL), diverged, settings)
 
 
 @pytest.mark.parametrize("method", ["rejection", "abc_smc", "simopt", "bayesopt", "npe"])

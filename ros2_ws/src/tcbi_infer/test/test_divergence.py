@@ -46,6 +46,46 @@ def test_js_nearest_agrees_with_the_integral(rng: np.random.Generator) -> None:
     assert found == pytest.approx(exact, abs=0.03)
 
 
+@pytest.mark.parametrize(
+    "values",
+    [np.full(50, 3.0), np.repeat([0.0, 1.0], 50), np.repeat([0.0, 0.5, 1.0], 40), np.linspace(1e6, 1e6 + 1e-3, 60)],
+    ids=["constant", "binary", "thirds", "identical"],
+)
+def test_js_nearest_of_equal_samples_with_ties_is_about_zero_and_of_separate_ones_log_two(values: np.ndarray) -> None:
+    assert js_nearest(values, values[None])[0] == pytest.approx(0.0, abs=0.006)
+    assert js_nearest(values, values[None, ::-1])[0] == pytest.approx(0.0, abs=0.006)
+    assert js_nearest(values, values[None] + 5.0)[0] == pytest.approx(LOG2, abs=1e-6)
+
+
+def test_js_nearest_of_two_shares_of_ones_is_the_divergence_of_the_shares() -> None:
+    real, simulated = np.repeat([0.0, 1.0], [800, 200]), np.repeat([0.0, 1.0], [200, 800])
+    exact = jensenshannon([0.8, 0.2], [0.2, 0.8]) ** 2
+    assert js_nearest(real, simulated[None])[0] == pytest.approx(exact, abs=0.01)
+
+
+def test_js_nearest_without_ties_counts_the_k_nearest(rng: np.random.Generator) -> None:
+    real, simulated = rng.standard_normal(60), rng.standard_normal(60) + 0.7
+    pooled, origin = np.concatenate([real, simulated]), np.repeat([0, 1], 60)
+    shares = [origin[np.argsort(np.abs(pooled - x))[1:11]].mean() for x in pooled]
+    share = np.clip(shares, 1e-12, 1 - 1e-12)
+    expected = LOG2 + np.mean(share * np.log(share) + (1 - share) * np.log(1 - share))
+    assert js_nearest(real, simulated[None])[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("real", [np.full(20, 3.0), np.linspace(0, 2, 20)], ids=["constant", "spread"])
+def test_wasserstein_is_bounded_and_never_falls_with_the_distance(real: np.ndarray) -> None:
+    shifts = np.array([0.0, 1e-6, 1e-3, 1.0, 30.0, 1e6])
+    values = wasserstein(real, real + shifts[:, None])
+    assert values[0] == 0 and np.all(np.diff(values) >= -1e-9) and values[-1] <= 10.0
+    assert wasserstein(real, np.full((1, 5), np.nan))[0] == 10.0
+
+
+def test_wasserstein_of_a_constant_tells_how_much_of_a_simulation_lies_elsewhere() -> None:
+    real, some, most = np.full(1000, 3.0), np.repeat([3.0, 4.0], [900, 100]), np.repeat([3.0, 4.0], [100, 900])
+    assert wasserstein(real, np.stack([real, some, most])) == pytest.approx([0.0, 1.0, 9.0], abs=0.01)
+    assert wasserstein(np.full(10, 0.3), np.full((1, 10), 0.1 + 0.2))[0] < 1e-6, "rounding is no distance"
+
+
 def test_wasserstein_of_a_shift_is_the_shift_in_ranges() -> None:
     real = np.linspace(0, 2, 401)
     assert wasserstein(real, real[None] + 0.5)[0] == pytest.approx(0.25)

@@ -5,13 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 from bench_recordings import BASE, NOISE, record
+from pendulum_cases import MODEL as PENDULUM
+from pendulum_cases import VALUES, swing
 
+from tcbi_infer.compare.conditions import torques
 from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.signals import DEGREE, reference
-from tcbi_infer.diagnose.leftover import LOAD, OFFSET, POSITION, explain
+from tcbi_infer.diagnose.leftover import COMMAND, LOAD, OFFSET, POSITION, TORQUE, explain
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_sim.model import base_model
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model, base_model
 
 MODEL = base_model("servo_bench")
 SIZE = 1.0  # deg, of what is planted
@@ -19,9 +23,14 @@ SIZE = 1.0  # deg, of what is planted
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    """The bench's recordings; the predictions are at the truth, so that a residual is what a test plants."""
-    replay = Replay.of(MODEL, record(MODEL, BASE))
-    predicted = replay.predict(MODEL, BASE[None])[0]
+    """The bench's recordings."""
+    return at_truth(MODEL, BASE, record(MODEL, BASE))
+
+
+def at_truth(model: Model, values: np.ndarray, recordings: list[Measurement]) -> Problem:
+    """Predicted at the truth, so that a residual is what a test plants."""
+    replay = Replay.of(model, recordings)
+    predicted = replay.predict(model, values[None])[0]
     residual = replay.measured - replay.by_rollout(predicted)
     floor = noise_floor(replay.layout, replay.measured, residual, replay.replicates)
     return dataclasses.replace(Problem.of(replay, floor.values), observed=predicted)
@@ -101,3 +110,15 @@ def test_at_the_noise_floor_nothing_is_left_to_explain(problem):
 def test_two_kinds_of_motion_tell_nothing(problem):
     found = told(problem, SIZE * np.sign(velocity(problem)), kinds=2)
     assert found.share is None and "2 kinds of motion" in found.statement
+
+
+def test_a_rig_driven_by_torque_has_no_commanded_position_and_its_torque_is_named():
+    problem = at_truth(PENDULUM, VALUES, swing())
+    firsts = [problem.replay.measurements[g.members[0]] for g in problem.replay.replicates]
+    torque = np.stack([torques(m, problem.replay.time) for m in firsts])
+    noise = np.random.default_rng(0).normal(0, NOISE * DEGREE / np.sqrt(2), torque.shape)
+    residual = SIZE * torque * np.abs(torque) + noise
+    shifted = dataclasses.replace(problem, observed=problem.observed + residual)
+    found = explain(shifted.with_autocorrelation(residual), residual, np.arange(len(firsts)))
+    assert found.variables[0].name == TORQUE and found.variables[0].share > 0.8
+    assert not {COMMAND, LOAD, "the commanded speed"} & set(shares(found))

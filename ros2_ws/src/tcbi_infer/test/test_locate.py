@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from legged_cases import walk
+from pendulum_cases import MODEL as PENDULUM
+from pendulum_cases import TIMES, swing
 
-from tcbi_infer.compare.conditions import REVERSAL, STANCE, STILL, SWING, conditions, phases
-from tcbi_infer.compare.kinds import kind_of
+from tcbi_infer.compare.conditions import MOVING, REVERSAL, STANCE, STILL, SWING, conditions, phases
+from tcbi_infer.compare.kinds import UNDER_LOAD, kind_of
 from tcbi_infer.compare.locate import locate, worst_moments
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.signals import DEGREE, JOINT, reference
@@ -54,7 +56,8 @@ def located(replay, plant, seed=0):
     measured = predicted + rng.normal(0, 0.05, predicted.shape)
     measured[..., joints] += plant(predicted[..., joints])
     floor = np.full(predicted.shape[-1], 0.05)
-    return locate(RIG, replay.layout, replay.measurements, replay.time, measured - predicted, predicted, floor)
+    rig = load_rig(replay.rig)
+    return locate(rig, replay.layout, replay.measurements, replay.time, measured - predicted, predicted, floor)
 
 
 def late(replay, joints, seconds, mask=True):
@@ -148,3 +151,34 @@ def test_ten_worst_moments_are_apart(replay):
     assert len({(r, t) for r, t, _ in found}) == len(found)
     for a in found:
         assert all(a is b or a[0] != b[0] or abs(a[1] - b[1]) >= 20 for b in found)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """A rig whose commands are torques."""
+    return Replay.of(PENDULUM, swing(repeats=1))
+
+
+def test_the_phases_of_a_rig_driven_by_torque_are_those_of_its_predicted_motion(driven):
+    turn = driven.time[:, None] * np.array([0.0, 2 * np.pi])
+    found = phases(load_rig(driven.rig), driven.measurements[0], driven.time, 0.5 * np.cos(turn))
+    assert found[STILL][:, 0].all() and found[STILL][:, 1].mean() < 0.1
+    just_after = np.isclose(driven.time % 0.5, 0.05, atol=0.02) & (driven.time > 0.5)
+    assert found[REVERSAL][just_after, 1].all() and found[MOVING][:, 1].mean() > 0.5
+
+
+def test_the_load_of_a_rig_driven_by_torque_is_its_torque(driven):
+    load, *others = conditions(driven.layout, driven.measurements, driven.time, driven.measured)
+    assert load.unit == "N m" and {c.name for c in others} == {"time since start"}
+    assert not load.values[:, driven.time < TIMES[0]].any(), "nothing is asked for before the first command"
+    inside = np.searchsorted(driven.time, TIMES + 0.1)
+    asked = np.abs([m.commands.target for m in driven.measurements])
+    np.testing.assert_allclose(load.values[:, inside], asked, atol=1e-9)
+
+
+def test_an_error_under_torque_is_found_there_and_nothing_droops(driven):
+    load = conditions(driven.layout, driven.measurements, driven.time, driven.measured)[0]
+    first = located(driven, lambda q: 3.0 * load.upper() * (np.arange(2) == 1))[0]
+    assert first.channels == ("elbow",) and first.phase == UNDER_LOAD and first.kind == "offset"
+    asked = np.stack([reference(m, driven.time) for m in driven.measurements]) * DEGREE
+    assert all(f.kind != "droop" for f in located(driven, lambda q: 0.1 * (q - asked)))

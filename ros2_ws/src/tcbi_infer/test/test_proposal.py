@@ -79,3 +79,17 @@ def test_tempering_keeps_the_effective_sample_size() -> None:
     assert 0 < alpha < 10
     assert effective_sample_size(weights) == pytest.approx(40, rel=0.01)
     assert temper(energy, base, 1e-6, 40.0) == 1e-6
+
+
+@pytest.mark.parametrize("prior_share", [0.0, 0.1, 0.25, 1.0])
+@pytest.mark.parametrize("normal", [True, False])
+def test_every_number_of_particles_is_drawn_in_whole_parts(normal: bool, prior_share: float) -> None:
+    z, weights = np.random.default_rng(0).standard_normal((5, 2)), np.full(5, 0.2)
+    expected = (np.zeros(2), np.eye(2)) if normal else None
+    for size in range(1, 201):
+        part = proposal(size, z, weights, expected, prior_share)
+        drawn = part.drawn
+        assert min(drawn) >= 0 and sum(drawn) == size
+        assert normal or drawn[2] == 0, "no normal to draw from"
+        fresh = draw(np.random.default_rng(size), part)
+        assert fresh.shape == (size, 2) and np.isfinite(log_mixture((part,), fresh)).all()

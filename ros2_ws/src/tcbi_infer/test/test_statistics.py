@@ -57,6 +57,14 @@ def test_early_response_is_the_share_of_the_step_after_60_ms() -> None:
     assert share[1] == pytest.approx(0.02 / 0.2)  # 60 ms less 40 ms of lag, on a ramp of 200 ms
 
 
+def test_early_response_takes_falling_steps_as_rising_ones() -> None:
+    rising = arrays()
+    falling = arrays(joint_position=-rising.joint_position, command_target=-rising.command_target)
+    early = library()["early_response"]
+    assert early.missing(falling) == ""
+    np.testing.assert_array_equal(early.compute(falling), early.compute(rising))
+
+
 def test_early_response_without_steps_is_left_out_by_name() -> None:
     still = arrays(command_target=np.zeros((1, 1, 2, 1)))
     _, left_out = select(("early_response", "body_rates"), still)

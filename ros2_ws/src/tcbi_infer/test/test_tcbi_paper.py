@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi import paper
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
@@ -94,6 +95,30 @@ def test_diverged_simulations_weigh_nothing() -> None:
     )
     assert np.all(state.weights[state.particles[:, 0] <= 0.5] == 0)
     assert np.isfinite(state.mean).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_particles_whose_divergence_is_not_finite_weigh_nothing(value: float) -> None:
+    def some(unit: np.ndarray) -> Features:
+        features = quadratic(unit)
+        return features._replace(divergence=np.where(unit > 0.5, features.divergence, value))
+
+    settings = paper.PaperSettings(particles=40, tau=0.0)
+    state, info = paper.step(
+        np.random.default_rng(1), paper.init(np.random.default_rng(0), 1, settings), some, same, settings
+    )
+    assert np.all(state.weights[state.particles[:, 0] <= 0.5] == 0)
+    assert info.ess < 40 and np.isfinite(info.divergence).all()
+
+
+def test_a_divergence_that_is_finite_nowhere_is_an_error() -> None:
+    def none(unit: np.ndarray) -> Features:
+        return quadratic(unit)._replace(divergence=np.full((len(unit), 1), np.nan))
+
+    settings = paper.PaperSettings(particles=40)
+    state = paper.init(np.random.default_rng(0), 1, settings)
+    with pytest.raises(InferError, match="the divergence is not finite for any of 40 simulations"):
+        paper.step(np.random.default_rng(1), state, none, same, settings)
 
 
 def test_converges_when_mean_and_reward_stand_still_and_never_past_the_bound() -> None:

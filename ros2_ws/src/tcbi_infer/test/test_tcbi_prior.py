@@ -101,3 +101,11 @@ def test_what_the_prior_knew_already_is_not_what_the_data_tell():
     against = estimates(parameters, unit, equal, prior=prior.draws())
     assert not any(e.identified for e in against)
     assert all(e.variance_ratio == pytest.approx(1.0, abs=0.25) for e in against)
+
+
+def test_variances_over_the_generations_are_compared_with_the_prior_that_was_used():
+    result = infer(Problem.of(narrow(), rollouts(), prior=MODEL, timestep=0.01), "paper", particles=20, generations=2)
+    expected = np.exp(result.log_weights) @ (result.unit - np.exp(result.log_weights) @ result.unit) ** 2
+    assert result.prior is not None
+    assert result.generations[-1]["variance_ratio"] == pytest.approx(expected / result.prior.var(axis=0))
+    assert result.generations[-1]["variance_ratio"] == pytest.approx([e.variance_ratio for e in result.estimates])

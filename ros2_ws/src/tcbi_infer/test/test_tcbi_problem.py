@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,21 @@ from tcbi_infer import posterior, statistics
 from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.statistics import Statistic
 from tcbi_infer.tcbi import checkpoint
-from tcbi_infer.tcbi.driver import BOUNDS, Interrupted, Progress, infer, settings_of
+from tcbi_infer.tcbi.driver import BOUNDS, Interrupted, Progress, infer, run_name, settings_of
 from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.method import METHODS
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import Problem, with_noise
 from tcbi_infer.tcbi.result import Result
+from tcbi_infer.tcbi.rollouts import noisier, sensor_noise
+from tcbi_policy.artefact import find_policy
+from tcbi_policy.errors import PolicyError
+from tcbi_sim.engine import simulate
 from tcbi_sim.errors import UnknownNameError
+from tcbi_sim.measurement import Measurement, Scenario
 from tcbi_sim.model import base_model
+from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
+from tcbi_sim.sensing import add_noise
 from tcbi_sim.store import ModelStore
 
 SMALL = {"particles": 20, "generations": 3}
@@ -112,6 +120,35 @@ def test_a_resumed_inference_counts_the_seconds_of_all_its_generations(problem: 
     assert result.seconds == sum(g["wall_s"] for g in result.generations) > 1000.0
 
 
+def test_what_an_inference_goes_on_from_is_known_by_the_rollouts_content_and_ones_own_files(
+    problem: Problem, bench, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setenv("TCBI_STATISTICS", str(tmp_path))
+    method = METHODS["paper"]
+
+    def name(p: Problem) -> str:
+        return run_name(p, "paper", method.settings(), 0)
+
+    before, (model, measurements) = name(problem), bench
+    assert name(Problem.of(model, measurements, timestep=0.01)) == before
+    repaired = measurements[0].joint_position.copy()
+    repaired[5] += 1e-9
+    other = [dataclasses.replace(measurements[0], joint_position=repaired), *measurements[1:]]
+    assert name(Problem.of(model, other, timestep=0.01)) != before
+    (tmp_path / "mine.py").write_text("STATISTIC = 1")
+    assert name(problem) != before
+
+
+def test_two_processes_keep_the_same_inference_under_temporary_names_of_their_own(
+    problem: Problem, tmp_path: Path, monkeypatch
+) -> None:
+    written: list[Path] = []
+    replace = Path.replace
+    monkeypatch.setattr(Path, "replace", lambda path, to: (written.append(path), replace(path, to))[1])
+    infer(problem, "paper", folder=tmp_path, **SMALL)
+    assert len(written) == 6 and all(str(os.getpid()) in path.name for path in written)
+
+
 def test_a_damaged_state_is_not_used(tmp_path: Path) -> None:
     (tmp_path / "state.npz").write_bytes(b"PK\x03\x04 cut off")
     assert checkpoint.load(tmp_path / "state.npz", METHODS["paper"].state_type) is None
@@ -195,6 +232,107 @@ def test_a_rollout_with_missing_samples_is_left_out_and_that_is_said(bench) -> N
 def test_without_its_policy_the_commands_are_replayed_and_that_is_said(bench) -> None:
     controllers, said = find_controllers(bench[1], "auto", None)
     assert controllers == {} and said.startswith("open loop: the recorded commands are replayed, since")
+
+
+def hexapod_rollouts(*policies: str, count: int = 2, tilt: float = 0.08, duration: float = 1.0) -> list[Measurement]:
+    """Noiseless rollouts of each policy on its own slopes, begun a few milliseconds late, as on a busy machine."""
+    model, found = base_model("hexapod"), []
+    for name in policies:
+        policy = find_policy(name)
+        scenarios = [Scenario("balance", duration, tilt * (s + 1), -tilt, seed=s) for s in range(count)]
+        out = simulate(model, model.mean()[None], scenarios, controller=policy, timestep=0.01)
+        for s in range(count):
+            m = out.measurement(0, s, f"{name}_{s}", policy.policy_id)
+            late = dataclasses.replace(m.commands, time=m.commands.time + 0.004 * (s + 1))
+            found.append(dataclasses.replace(m, commands=late))
+    return found
+
+
+def simulated(measurements: list[Measurement], loop: str = "auto") -> dict[str, np.ndarray]:
+    """Rollout -> (2, T, J) joint angles and commands of two robots without noise."""
+    problem = dataclasses.replace(
+        Problem.of(base_model("hexapod"), measurements, loop=loop, timestep=0.01), noise=Noise(0.0)
+    )
+    found = {}
+    for group, arrays in zip(problem.groups, problem.rollouts(np.full((2, 3), [[0.3], [0.6]]))[0], strict=True):
+        for s, m in enumerate(group.measurements):
+            found[m.rollout_id] = np.concatenate(
+                [arrays.joint_position[:, s].ravel(), arrays.command_target[:, s].ravel(), arrays.command_time[s]]
+            )
+    return found
+
+
+def test_beside_a_policy_gaits_are_replayed_with_the_bits_they_have_alone() -> None:
+    trained, gaits = hexapod_rollouts("balance"), hexapod_rollouts("gait:steps", "gait:tripod")
+    mixed = simulated([*trained, *gaits])
+    apart = simulated(trained, "closed") | simulated(gaits, "open")
+    assert mixed.keys() == apart.keys() and all(np.array_equal(mixed[i], apart[i]) for i in apart)
+    alone = simulated(trained) | simulated(gaits)
+    assert all(np.array_equal(alone[i], apart[i]) for i in apart), "so it is without the others"
+
+
+def test_beside_a_policy_at_hand_one_that_is_not_is_replayed_and_that_is_said() -> None:
+    trained = hexapod_rollouts("balance")
+    lost = [dataclasses.replace(m, policy_id="lost@1", rollout_id=f"{m.rollout_id}_lost") for m in trained]
+    gaits = hexapod_rollouts("gait:steps")
+    controllers, said = find_controllers([*trained, *lost, *gaits], "auto", None)
+    assert list(controllers) == [trained[0].policy_id]
+    assert said.startswith(f"closed loop: {trained[0].policy_id} act on the simulated robot; for the other rollouts")
+    assert "since scripted gaits do not react and a policy cannot be loaded" in said and "'lost'" in said
+    with pytest.raises(PolicyError, match="'lost' does not exist"):
+        find_controllers([*trained, *lost], "closed", None)
+    assert len(find_controllers([*trained, *gaits], "closed", None)[0]) == 2
+    mixed, apart = simulated([*trained, *lost]), simulated(trained) | simulated(lost)
+    assert all(np.array_equal(mixed[i], apart[i]) for i in apart)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("sigma", [0.003, 0.02])
+def test_recordings_show_the_noise_of_attitudes_at_any_tilt(tilt: float, sigma: float) -> None:
+    rig, rng = load_rig("hexapod"), np.random.default_rng(0)
+    noise = dataclasses.replace(rig.noise, attitude=sigma)
+    recorded = [add_noise(m, noise, rng) for m in hexapod_rollouts("gait:steps", tilt=tilt, duration=4.0)]
+    found = sensor_noise(recorded, dataclasses.replace(rig.noise, attitude=1.0)).attitude
+    assert found == pytest.approx(sigma, rel=0.15)
+
+
+def test_the_noise_of_attitudes_is_seen_where_roll_passes_half_a_turn() -> None:
+    rng, tipped = np.random.default_rng(0), hexapod_rollouts("gait:steps", duration=4.0)
+    over = [dataclasses.replace(m, attitude=m.attitude[:, [1, 0, 3, 2]] * [-1, 1, 1, -1]) for m in tipped]
+    recorded = [add_noise(m, Noise(0.0, attitude=0.003), rng) for m in over]
+    assert sensor_noise(recorded, Noise(1.0, attitude=1.0)).attitude == pytest.approx(0.003, rel=0.15)
+
+
+def test_simulated_readings_get_the_trackers_noise_and_the_encoders_steps() -> None:
+    rig, rng, clean = load_rig("hexapod"), np.random.default_rng(0), hexapod_rollouts("gait:steps", duration=4.0)
+    problem = Problem.of(base_model("hexapod"), [add_noise(m, rig.noise, rng) for m in clean], timestep=0.01)
+    assert problem.noise.position == pytest.approx(rig.noise.position, rel=0.15)
+    assert problem.noise.encoder_step == rig.noise.encoder_step
+    arrays = problem.groups[0].arrays
+    seen = with_noise(arrays, problem.noise, [np.random.default_rng(1)])
+    assert (seen.position - arrays.position).std() == pytest.approx(problem.noise.position, rel=0.05)
+    steps = seen.joint_position / rig.noise.encoder_step
+    assert np.allclose(steps, np.round(steps), atol=1e-9)
+
+
+def test_recordings_without_a_trackers_noise_or_steps_get_none_and_noisier_trackers_are_said() -> None:
+    nominal, clean = load_rig("hexapod").noise, hexapod_rollouts("gait:steps", duration=4.0)
+    found = sensor_noise(clean, nominal)
+    assert found.encoder_step == 0 and found.position < 1e-4
+    recorded = [add_noise(m, Noise(0.0, position=0.01), np.random.default_rng(0)) for m in clean]
+    found = sensor_noise(recorded, nominal)
+    assert found.position == pytest.approx(0.01, rel=0.15)
+    assert any(line.startswith("positions are recorded with a noise of 0.0") for line in noisier(found, nominal))
+
+
+def test_statistics_without_a_finite_sample_are_named(bench, monkeypatch) -> None:
+    silent = Statistic("silent", "1", "never known", (), lambda a: ("x",), lambda a: np.full((*a.count, 1, 9), np.nan))
+    known = {**statistics.library(), "silent": silent}
+    monkeypatch.setattr(statistics, "library", lambda: known)
+    with pytest.raises(InferError, match=r"no statistic has a finite sample .*tried: silent"):
+        Problem.of(*bench, statistics=("silent",), timestep=0.01)
+    problem = Problem.of(*bench, statistics=("joint_tracking", "silent"), timestep=0.01)
+    assert "without samples, left out: silent/x" in problem.warnings
 
 
 def test_unknown_names_are_refused(problem: Problem, bench) -> None:

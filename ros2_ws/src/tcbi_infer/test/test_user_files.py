@@ -99,3 +99,45 @@ def test_a_users_statistic_that_fails_on_rollouts_is_named_with_its_line(folders
     (folders / "statistics" / "speed.py").write_text(SPEED.replace("axis=2", "axis=9"))
     with pytest.raises(InferError, match=r"statistic speed fails: line 7: .*axis 9"):
         Problem.of(*bench_rollouts(count=3), statistics=("speed",))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (("(), lambda", '("velocity",), lambda'), "AttributeError: .*velocity"),
+        (("joint_names, speed)", "joint_names, speed, lambda a: a.gone)"), "line 9: AttributeError: .*gone"),
+        (("arrays.joint_names", "arrays.legs"), "line 9: AttributeError: .*legs"),
+        (("arrays.joint_names", "None"), "TypeError: 'NoneType'"),
+        (("    return np", "    return np.full((1, 3, 1, 9), 'fast')\n    np"), "ValueError: could not convert string"),
+    ],
+)
+def test_whatever_of_a_users_statistic_fails_it_is_named(folders: Path, wrong: tuple[str, str], said: str) -> None:
+    (folders / "statistics" / "speed.py").write_text(SPEED.replace(*wrong))
+    with pytest.raises(InferError, match=f"statistic speed fails: {said}"):
+        Problem.of(*bench_rollouts(count=3), statistics=("speed",))
+
+
+def own_divergence(folders: Path, line: str) -> Problem:
+    """A problem with a divergence of the user's that passes its check and meets `line` when it is used."""
+    text = MEANS.replace("    return", f"    if len(simulated) != 2 or len(real) != 60: {line}\n    return")
+    (folders / "divergences" / "means.py").write_text(text)
+    return Problem.of(*bench_rollouts(count=3), statistics=("joint_tracking",), divergence_name="means", timestep=0.01)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("return 1 / 0", "divergence means fails: line 5: ZeroDivisionError"),
+        ("return 'far'", "divergence means fails: ValueError"),
+        ("return np.ones((2, 2))", r"divergence means gave shape \(2, 2\), must be \(3,\)"),
+    ],
+)
+def test_a_users_divergence_that_fails_on_rollouts_is_named(folders: Path, line: str, said: str) -> None:
+    problem = own_divergence(folders, line)
+    with pytest.raises(InferError, match=said):
+        problem.simulate(np.full((3, 3), 0.5))
+
+
+def test_a_divergence_that_is_not_known_is_never_better_than_any(folders: Path) -> None:
+    problem = own_divergence(folders, "return np.where(np.arange(len(simulated)) == 1, np.nan, 0.5)")
+    assert problem.simulate(np.full((3, 3), 0.5)).divergence[:, 0].tolist() == [0.5, np.inf, 0.5]

@@ -11,6 +11,7 @@ import hashlib
 import itertools
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -74,7 +75,7 @@ class Card:
 
     def to_json(self) -> str:
         """The card as it lies on disk."""
-        return json.dumps({"format": CARD_FORMAT, **dataclasses.asdict(self)}, indent=1) + "\n"
+        return strict_json({"format": CARD_FORMAT, **dataclasses.asdict(self)}, indent=1) + "\n"
 
     @staticmethod
     def from_json(text: str) -> "Card":
@@ -147,6 +148,11 @@ def replace_file(path: Path, data: bytes) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def strict_json(value: Any, indent: int | None = None) -> str:
+    """A value as JSON, null for a number that is not finite."""
+    return json.dumps(json.loads(json.dumps(value), parse_constant=lambda _: None), indent=indent, allow_nan=False)
+
+
 def load_policy(path: Path, robot: Layout = HEXAPOD) -> Policy:
     """Read and check a policy.
 
@@ -182,6 +188,18 @@ def _check_shape(policy: Policy) -> None:
         raise PolicyDamaged(
             f"the network maps {seen[0]} values to {seen[1]}, its card says {expected[0]} to {expected[1]}"
         )
+
+
+def load_all(paths: Mapping[str, Path]) -> tuple[dict[str, Policy], list[PolicyError]]:
+    """Those of some policies that can be read, by name, and why the others cannot."""
+    found: dict[str, Policy] = {}
+    faults: list[PolicyError] = []
+    for name, path in paths.items():
+        try:
+            found[name] = load_policy(path)
+        except PolicyError as error:
+            faults.append(error)
+    return found, faults
 
 
 def name_of(policy_id: str, store_root: Path) -> str:

@@ -5,9 +5,12 @@ import json
 from dataclasses import dataclass
 
 from tcbi_contract.errors import describe
+from tcbi_policy.artefact import Policy
 from tcbi_policy.errors import TrainingError
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.tasks import find_task
+
+HIGHEST_SEED = 2**32 - 1  # that Stable-Baselines3 takes
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,8 @@ class TrainingConfig:
             faults.append(describe("algorithm", self.algorithm, "ppo or sac"))
         positive = ("steps", "environments", "learning_rate", "batch_size", "evaluate_every", "evaluations")
         faults += [describe(name, getattr(self, name), "more than 0") for name in positive if getattr(self, name) <= 0]
+        if not 0 <= self.seed <= HIGHEST_SEED:
+            faults.append(describe("seed", self.seed, f"0 to {HIGHEST_SEED}"))
         if not 0.0 < self.gamma < 1.0:
             faults.append(describe("gamma", self.gamma, "between 0 and 1"))
         for name in ("observation_noise", "budget_s", "reward_scale"):
@@ -89,6 +94,19 @@ class TrainingConfig:
         if faults:
             raise TrainingError("; ".join(faults))
         return self
+
+
+def check_start(config: TrainingConfig, start: Policy) -> None:
+    """Refuse a policy to start from whose network is not the training's.
+
+    Raises:
+      TrainingError: its hidden layers have other widths.
+    """
+    if start.mlp.layers != config.layers:
+        raise TrainingError(
+            describe(f"hidden layers of policy {start.policy_id}", start.mlp.layers, str(config.layers))
+            + "; train from scratch, or start from another policy"
+        )
 
 
 _PAPER = TrainingConfig(

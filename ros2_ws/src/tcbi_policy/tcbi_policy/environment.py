@@ -16,6 +16,7 @@ reward are the engine's and `reward.step_rewards`; there is no copy of either he
 """
 
 import dataclasses
+import secrets
 from typing import Any
 
 import gymnasium
@@ -49,7 +50,7 @@ class HexapodVectorEnv(VectorEnv):
         model: Model,
         task: str,
         count: int,
-        seed: int = 0,
+        seed: int | None = None,
         *,
         squash: bool = False,
         observation_noise: float = 0.0,
@@ -62,7 +63,7 @@ class HexapodVectorEnv(VectorEnv):
           model: its particles give each episode's parameters.
           task: a registered task.
           count: B.
-          seed: of parameters and scenarios.
+          seed: of parameters and scenarios; None for another one each time.
           squash: the action is in [-3, 3] and the joint target is limit * tanh(action), instead of an action in
             [-1, 1] that is multiplied by the limit.
           observation_noise: rad, standard deviation of white noise on every entry of the observation (the paper's
@@ -71,7 +72,9 @@ class HexapodVectorEnv(VectorEnv):
           threads: 0 for all processors.
         """
         self.model, self.task, self.num_envs, self.generation = model, find_task(task), count, 0
-        self._seed, self._squash, self._observation_noise = seed, squash, observation_noise
+        self._seed = secrets.randbits(32) if seed is None else seed
+        self._squash, self._observation_noise = squash, observation_noise
+        self._begun, self._taken = 0, 0  # the generation that runs, and how many steps of it have been taken
         self._noise = np.random.default_rng(0)
         parameters, scenarios = self._draw()
         room = dataclasses.replace(scenarios[0], blocks=(scenarios[0].blocks * self.task.blocks)[: self.task.blocks])
@@ -95,9 +98,14 @@ class HexapodVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start the episodes of the present generation; a seed starts again from generation 0."""
+        """Start the episodes of the present generation, or of the next one if steps of it have been taken.
+
+        A seed starts again from generation 0.
+        """
         if seed is not None:
             self._seed, self.generation = int(seed), 0
+        elif self._taken and self.generation == self._begun:
+            self.generation += 1
         self._begin()
         return self._observation(), {}
 
@@ -111,7 +119,7 @@ class HexapodVectorEnv(VectorEnv):
         self._now = self.simulator.observe()
         self._origin = self._position(self._now)
         self._yaw = roll_pitch_yaw(self._attitude(self._now))[:, 2]
-        self._taken = 0
+        self._begun, self._taken = self.generation, 0
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control period of all episodes; actions (B, J)."""
@@ -166,7 +174,7 @@ class HexapodEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     metadata = {"render_modes": []}
 
-    def __init__(self, model: Model | None = None, task: str = "balance", seed: int = 0, **options: Any):
+    def __init__(self, model: Model | None = None, task: str = "balance", seed: int | None = None, **options: Any):
         """Make the simulation; without a model, the prior of the hexapod as it is built in."""
         self._vector = HexapodVectorEnv(model or base_model("hexapod"), task, 1, seed, **options)
         self.observation_space = self._vector.single_observation_space

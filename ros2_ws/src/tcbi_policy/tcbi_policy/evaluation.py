@@ -6,11 +6,14 @@ comparison = compare_paired(before, after)
 comparison.better        # with 95 % confidence
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
+from tcbi_contract.wording import counted
 from tcbi_policy.artefact import Actor
 from tcbi_policy.blocks import OverBlocks, over_blocks
 from tcbi_policy.environment import TIMESTEP_S
@@ -20,6 +23,8 @@ from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import Model
 from tcbi_sim.tasks import find_task
+
+LEAST_SHARE, LEAST_PAIRS = 0.9, 8  # of the rollouts of a comparison that must end under both policies
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,8 @@ class Evaluation:
 
     @property
     def mean_return(self) -> float:
-        """Mean over the simulations that did not diverge."""
-        return float(np.nanmean(self.returns))
+        """Mean over the simulations that did not diverge; NaN if all did."""
+        return _of_finite(np.mean, self.returns)
 
     def summary(self) -> dict[str, float]:
         """Means and spreads, in degrees and m; where there are blocks, also who went over one and how far they came."""
@@ -50,10 +55,10 @@ class Evaluation:
         return {
             "rollouts": len(self.returns),
             "mean_return": self.mean_return,
-            "sd_return": float(np.nanstd(self.returns)),
-            "final_inclination_deg": float(np.nanmean(degrees)),
-            "distance_m": float(np.nanmean(self.distance)),
-            "median_distance_m": float(np.nanmedian(self.distance)),
+            "sd_return": _of_finite(np.std, self.returns),
+            "final_inclination_deg": _of_finite(np.mean, degrees),
+            "distance_m": _of_finite(np.mean, self.distance),
+            "median_distance_m": _of_finite(np.median, self.distance),
             "diverged": int(np.isnan(self.returns).sum()),
         } | self._blocks()
 
@@ -68,11 +73,33 @@ class Evaluation:
         return counts | {name: float(self.distance[group].mean()) for name, group in groups.items() if group.any()}
 
 
-def draw_conditions(model: Model, task: str, count: int, seed: int) -> Conditions:
-    """Draws of a model's parameters and a task's scenarios, a function of the seed."""
+def _of_finite(statistic: Callable[[np.ndarray], np.floating], values: np.ndarray) -> float:
+    """A statistic of the values that are not NaN; NaN if all are."""
+    known = values[~np.isnan(values)]
+    return float(statistic(known)) if len(known) else math.nan
+
+
+def draw_conditions(model: Model, task: str, count: int, seed: int, *, systematic: bool = False) -> Conditions:
+    """Draws of a model's parameters and a task's scenarios, a function of the seed.
+
+    Args:
+      model: with its particles.
+      task: whose scenarios are drawn.
+      count: how many.
+      seed: of all draws.
+      systematic: each parameter vector is drawn as often as its weight says, to within one, instead of independently.
+    """
     rng = np.random.default_rng([seed, 104729])
-    parameters = model.sample(rng, count)
+    parameters = _systematic(model, rng, count) if systematic else model.sample(rng, count)
     return Conditions(parameters, [find_task(task).draw(rng, int(rng.integers(2**31))) for _ in range(count)])
+
+
+def _systematic(model: Model, rng: np.random.Generator, count: int) -> np.ndarray:
+    """(count, P) draws at equal steps of the cumulative weight, over the particles in lexicographic order."""
+    order = np.lexsort(model.particles.T[::-1])
+    marks = (rng.random() + np.arange(count)) / count
+    rows = np.searchsorted(np.cumsum(model.weights[order]), marks).clip(max=len(order) - 1)
+    return model.particles[order[rows]]
 
 
 def evaluate(
@@ -154,37 +181,76 @@ def noisy(actor: Actor, sigma: float) -> Actor:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The gain of one policy over another under the same conditions."""
+    """The gain of one policy over another under the same conditions; None where no rollout, or too few, can tell."""
 
-    gain: float  # mean difference of the returns
-    low: float  # one-sided bound: the gain is at least this with the confidence asked for
-    pairs: int
+    gain: float | None  # mean difference of the returns
+    low: float | None  # one-sided bound: the gain is at least this with the confidence asked for
+    pairs: int  # of rollouts that ended under both
+    rollouts: int  # under each of the two
+    vectors: int  # distinct parameter vectors of the pairs
+    diverged_before: int
+    diverged_after: int
     confidence: float
-    before: float  # mean return of either, over the same pairs
-    after: float
+    before: float | None  # mean return of either, over the same pairs
+    after: float | None
+
+    @property
+    def enough(self) -> bool:
+        """Whether enough rollouts ended under both policies to stand for all."""
+        return self.pairs >= max(LEAST_SHARE * self.rollouts, min(LEAST_PAIRS, self.rollouts))
 
     @property
     def better(self) -> bool:
-        """Whether the new policy is better with confidence."""
-        return self.low > 0.0
+        """Whether the new policy is better with confidence, and makes no more simulations diverge."""
+        gains = self.low is not None and self.low > 0.0
+        return gains and self.enough and self.diverged_after <= self.diverged_before
 
     def statement(self) -> str:
         """The verdict in a sentence."""
+        count = str(self.rollouts) if self.pairs == self.rollouts else f"{self.pairs} of {self.rollouts}"
+        seen = f"on {count} held-out rollouts of {counted(self.vectors, 'parameter draw')}"
+        gain = "too few to tell the gain"
+        if self.low is not None:
+            gain = f"gain at least {self.low:.0f} with {100 * self.confidence:.0f} % confidence"
+        returns = "" if self.before is None else f"return {self.before:.0f} -> {self.after:.0f} "
         verdict = "better" if self.better else "not better with confidence"
-        return (
-            f"{verdict}: return {self.before:.0f} -> {self.after:.0f} on {self.pairs} held-out draws, "
-            f"gain at least {self.low:.0f} with {100 * self.confidence:.0f} % confidence"
-        )
+        return f"{verdict}: {returns}{seen}, {gain}{self._lost()}"
+
+    def _lost(self) -> str:
+        if not (self.diverged_before or self.diverged_after):
+            return ""
+        few = "" if self.enough else ", which leaves too few"
+        return f", {self.diverged_after} diverged under the new policy and {self.diverged_before} under the other{few}"
 
 
-def compare_paired(before: Evaluation, after: Evaluation, confidence: float = 0.95) -> Comparison:
-    """Student's t on the differences; a simulation that diverged under either policy drops out of both."""
-    valid = np.isfinite(before.returns) & np.isfinite(after.returns)
+def compare_paired(
+    before: Evaluation, after: Evaluation, vectors: np.ndarray | None = None, confidence: float = 0.95
+) -> Comparison:
+    """Student's t on the mean differences of the parameter vectors, each with its share of the rollouts as its weight.
+
+    The variance of a weighted mean of V independent values with shares s is estimated by q / (1 - q) times their
+    weighted variance, q the sum of s^2, which for equal shares is the usual one; degrees of freedom are V - 1.
+
+    Args:
+      before: of the rival.
+      after: of the new policy, under the same conditions.
+      vectors: (n,) which parameter vector a rollout has; None if each has its own.
+      confidence: of the lower bound of the gain.
+    """
+    lost = np.isnan(before.returns), np.isnan(after.returns)
+    valid = ~(lost[0] | lost[1])
     old, new = before.returns[valid], after.returns[valid]
-    pairs = len(old)
-    if pairs < 2:
-        return Comparison(np.nan, -np.inf, pairs, confidence, np.nan, np.nan)
-    difference = new - old
-    error = difference.std(ddof=1) / np.sqrt(pairs)
-    low = difference.mean() - float(stdtrit(pairs - 1, confidence)) * error
-    return Comparison(float(difference.mean()), float(low), pairs, confidence, float(old.mean()), float(new.mean()))
+    own = np.arange(len(valid)) if vectors is None else vectors
+    _, member, counts = np.unique(own[valid], return_inverse=True, return_counts=True)
+    gain = low = None
+    if len(old):
+        shares, means = counts / len(old), np.bincount(member, new - old) / counts
+        gain = float(shares @ means)
+        if len(counts) > 1:
+            q = shares @ shares
+            error = np.sqrt(shares @ np.square(means - gain) * q / (1.0 - q))
+            low = float(gain - stdtrit(len(counts) - 1, confidence) * error)
+    return Comparison(
+        gain, low, len(old), len(valid), len(counts), int(lost[0].sum()), int(lost[1].sum()), confidence,
+        float(old.mean()) if len(old) else None, float(new.mean()) if len(old) else None,
+    )  # fmt: skip

@@ -61,6 +61,11 @@ class Mlp:
         layers["observation_scale"] = self.observation_scale
         return {name: np.ascontiguousarray(array, np.float32) for name, array in layers.items()}
 
+    @property
+    def layers(self) -> tuple[int, ...]:
+        """Widths of the hidden layers."""
+        return tuple(len(bias) for bias in self.biases[:-1])
+
     @staticmethod
     def from_tensors(tensors: Mapping[str, np.ndarray], limit: float) -> "Mlp":
         """The network of a file.

@@ -16,7 +16,9 @@ from tcbi_sim.model import Model
 
 PARTICLES = 1024
 HELD_OUT = 0.25  # of a model's weight, at least
-LEAST_PARTICLES = 8  # that bear weight: fewer are not divided
+LEAST_HELD_OUT = 5  # parameter vectors that bear weight
+LEAST_PARTICLES = 12  # that bear weight: fewer are not divided
+ROUNDING = 1e-9  # of an effective number
 
 
 def prior_of(model: Model, seed: int = 0) -> Model:
@@ -28,8 +30,8 @@ def prior_of(model: Model, seed: int = 0) -> Model:
 def divided(model: Model, seed: int) -> tuple[Model, Model]:
     """The model with the particles to train on, and with those that only a comparison of policies may see.
 
-    No parameter vector is in both. Where so few particles bear weight that neither part would stand for the posterior,
-    both are the whole model.
+    No parameter vector is in both, and at least `LEAST_HELD_OUT` bear the weight of the second. Where so few particles
+    bear weight that neither part would stand for the posterior, both are the whole model.
 
     Args:
       model: with its particles, of which some may be equal.
@@ -37,10 +39,12 @@ def divided(model: Model, seed: int) -> tuple[Model, Model]:
     """
     vectors, member = np.unique(model.particles, axis=0, return_inverse=True)
     weight = np.bincount(member.ravel(), model.weights, len(vectors))
-    if 1.0 / np.sum(weight**2) < LEAST_PARTICLES:
+    if 1.0 / np.sum(weight**2) < LEAST_PARTICLES - ROUNDING:
         return model, model
     order = np.random.default_rng([seed, 67867967]).permutation(len(vectors))
-    count = int(np.searchsorted(np.cumsum(weight[order]), HELD_OUT)) + 1
+    total = np.cumsum(weight[order])
+    bearing = total**2 / np.cumsum(weight[order] ** 2)  # effective number of vectors
+    count = int(np.argmax((total >= HELD_OUT) & (bearing >= LEAST_HELD_OUT - ROUNDING))) + 1
     held_out = np.isin(member.ravel(), order[:count])
     kept, judged = (
         dataclasses.replace(model, particles=model.particles[part], log_weights=model.log_weights[part])

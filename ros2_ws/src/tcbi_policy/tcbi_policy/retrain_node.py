@@ -141,7 +141,8 @@ class RetrainNode(Node):
 
     def _on_event(self, handle: ServerGoalHandle, event: Event) -> None:
         if event["event"] in ("progress", "done"):
-            steps, mean_return = int(event["steps"]), float(event["mean_return"])
+            steps, found = int(event["steps"]), event["mean_return"]
+            mean_return = math.nan if found is None else float(found)
             known = event.get("remaining_s", 0.0)
             remaining_s = math.nan if known is None else float(known)
             handle.publish_feedback(Retrain.Feedback(steps=steps, mean_return=mean_return, remaining_s=remaining_s))
@@ -162,7 +163,7 @@ class RetrainNode(Node):
             return
         result.success = True
         if outcome.accepted:
-            why_not = better_than_another(self._in_use, job, self._store)
+            why_not = better_than_another(self._in_use, outcome.rival, job.task, self._store)
             result.message += (
                 f"; kept as {outcome.reference}: {why_not}" if why_not else f"; {self._swap(outcome.reference)}"
             )

@@ -12,7 +12,7 @@ and in the comparison.
 """
 
 import dataclasses
-import json
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,8 +30,9 @@ from tcbi_policy.artefact import (
     policy_paths,
     replace_file,
     save_policy,
+    strict_json,
 )
-from tcbi_policy.configuration import TrainingConfig, preset
+from tcbi_policy.configuration import TrainingConfig, check_start, preset
 from tcbi_policy.errors import PolicyError, PolicyNotFound, TrainingError
 from tcbi_policy.randomisation import randomised
 from tcbi_policy.runs import Run, TrainingProcess, write_run
@@ -72,6 +73,7 @@ class Outcome:
     return_before: float
     return_after: float
     message: str
+    rival: str = ""  # id of the policy that it was compared with
 
 
 def plan(job: Job) -> Run:
@@ -85,10 +87,12 @@ def plan(job: Job) -> Run:
     current = find_policy(job.current, store.root)
     start = _start(job, store.root)
     config = preset("fast", job.task)
-    if start:
+    begun = find_policy(start, store.root) if start else None
+    if isinstance(begun, Policy):
+        check_start(config, begun)
         config = dataclasses.replace(fine_tuning(config), steps=min(config.steps, FINE_TUNING_STEPS))
     changes: dict[str, Any] = {"seed": job.seed, "budget_s": job.budget_s, "threads": job.threads}
-    changes |= randomisation_of(find_policy(start, store.root) if start else current, job.task, model)
+    changes |= randomisation_of(begun or current, job.task, model)
     if job.budget_steps:
         changes["steps"] = job.budget_steps
     rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
@@ -161,16 +165,17 @@ def retrain(
     if comparison is None:
         message = "cancelled; the same request goes on from the last checkpoint"
         return Outcome(False, True, "", "", float("nan"), float("nan"), message)
-    before, after, statement = comparison["before"], comparison["after"], comparison["statement"]
+    before, after = (math.nan if comparison[when] is None else comparison[when] for when in ("before", "after"))
+    statement = comparison["statement"]
     reference, path = "", str(folder / "policy.safetensors")
     if comparison["better"]:
         policy = publish(folder, store.root, run.config.task, comparison=comparison)
         reference, path = policy.card.name, str(policy.path)
         shutil.rmtree(folder, ignore_errors=True)
     else:
-        replace_file(folder / OUTCOME, json.dumps(comparison).encode())
+        replace_file(folder / OUTCOME, strict_json(comparison).encode())
         (folder / "checkpoint.safetensors").unlink(missing_ok=True)  # the same request later starts afresh
-    return Outcome(comparison["better"], False, reference, path, before, after, statement)
+    return Outcome(comparison["better"], False, reference, path, before, after, statement, comparison["rival"])
 
 
 def _follow(
@@ -224,24 +229,26 @@ def next_name(root: Path, task: str) -> str:
     return next(name for name in (f"{task}-{n}" for n in range(1, len(taken) + 2)) if name not in taken)
 
 
-def better_than_another(in_use: str, job: Job, root: Path) -> str:
-    """ "", or why a job's result must not replace the policy in use: it was compared with another, or for another task.
+def better_than_another(in_use: str, rival: str, task: str, root: Path) -> str:
+    """ "", or why a successor must not replace the policy in use: it was compared with another, or for another task.
 
     Args:
-      in_use: id of the policy in use; empty while no policy node runs. A scripted gait may always be replaced.
-      job: whose result is better than `job.current`.
+      in_use: id of the policy or gait in use; empty while no policy node runs.
+      rival: id of the policy or gait that the successor was compared with.
+      task: of the successor.
       root: of the store.
     """
-    if not in_use or in_use.startswith(GAIT_PREFIX):
+    if not in_use:
         return ""
+    if in_use != rival:
+        return f"{in_use} came into use meanwhile, with which it was not compared"
     try:
         policy = find_policy(reference_of(in_use, root), root)
-    except PolicyError:
-        return f"{in_use} came into use meanwhile, with which it was not compared"
-    if isinstance(policy, Policy) and policy.card.task != job.task:
+    except PolicyError as error:
+        return f"{in_use} is in use, and for which task is not known: {error}"
+    if isinstance(policy, Policy) and policy.card.task != task:
         return f"{in_use} is in use, a policy for {policy.card.task}"
-    rival = find_policy(job.current, root)
-    return "" if rival.policy_id == in_use else f"{in_use} came into use meanwhile, with which it was not compared"
+    return ""
 
 
 def reference_of(policy_id: str, root: Path) -> str:

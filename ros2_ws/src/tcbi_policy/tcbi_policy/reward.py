@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tcbi_contract.errors import describe
-from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_contract.names import CONTROL_PERIOD_S, JOINTS
 from tcbi_policy.errors import RewardError
 from tcbi_sim.engine import SimulatedRollouts
 from tcbi_sim.measurement import Measurement, progress, roll_pitch_yaw
@@ -107,6 +107,7 @@ def _change(steps: Steps) -> np.ndarray:
     return np.square(steps.action - steps.before).mean(axis=-1)
 
 
+TRIAL_STEPS = 10  # of what a term is tried on
 DISTANCE = "distance"  # the one term whose sum is known from the end of the rollout alone
 REWARDS: dict[str, tuple[Term, ...]] = {
     "balance": (attitude_term(9000.0), action_term(-600.0)),
@@ -143,6 +144,21 @@ def formula(task: str) -> str:
     return "r = " + " ".join(parts).removeprefix("+")
 
 
+def needs_position(term: Term) -> bool:
+    """Whether a term cannot be measured without a position: found by trying it on a robot at rest, with and without."""
+    return not _measurable(term, None) and _measurable(term, np.zeros(TRIAL_STEPS + 1))
+
+
+def _measurable(term: Term, progress: np.ndarray | None) -> bool:
+    rest = np.zeros((TRIAL_STEPS, len(JOINTS)))
+    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (TRIAL_STEPS + 1, 1))
+    try:
+        term.measure(Steps(attitude, progress, rest, rest))
+    except Exception:  # noqa: BLE001 - it is the user's code, which may raise anything
+        return False
+    return True
+
+
 def step_rewards(
     task: str | tuple[Term, ...],
     attitude: np.ndarray,
@@ -163,13 +179,17 @@ def step_rewards(
       (..., K) rewards, NaN where an input is NaN.
 
     Raises:
-      RewardError: the task counts distance and `progress` is None.
+      RewardError: a term needs the position and `progress` is None.
     """
     before = np.concatenate([np.broadcast_to(previous, action[..., :1, :].shape[:-2] + action.shape[-1:])[..., None, :],
                              action[..., :-1, :]], axis=-2)  # fmt: skip
     steps = Steps(attitude, progress, action, before)
     reward = np.zeros(action.shape[:-1])
     for term in terms_of(task) if isinstance(task, str) else task:
+        if progress is None and term.name != DISTANCE and needs_position(term):
+            raise RewardError(
+                f"term {term.name!r} of the reward needs the position, but none was measured; add a tracker"
+            )
         reward = reward + term.weight * term.measure(steps)
     return reward
 
@@ -178,14 +198,15 @@ def step_rewards(
 class EpisodeReward:
     """The reward of one rollout."""
 
-    steps: np.ndarray  # (K,) per control step; NaN where the position was not measured and the task counts it
-    total: float  # the return; NaN if neither a position nor a distance was measured
+    steps: np.ndarray  # (K,) per control step; NaN where the position was not measured and a term needs it
+    total: float  # the return; NaN if neither a position nor, where that is enough, a distance was measured
 
 
 def episode_reward(measurement: Measurement) -> EpisodeReward:
     """The reward of a rollout, from what the robot can measure.
 
-    Without a tracker, a task that counts distance has no step rewards but still a return, from the distance at the end.
+    Without a tracker, a task that counts distance has no step rewards but still a return, from the distance at the end;
+    one with another term that needs the position has neither.
 
     Raises:
       RewardError: no attitude, or no command, was measured.
@@ -202,11 +223,12 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
     moved = None
     if measurement.position is not None:
         moved = progress(measurement.position[rows], measurement.scenario.initial_yaw)
-    known = tuple(term for term in terms if term.name != DISTANCE or moved is not None)
+    missing = tuple(t for t in terms if moved is None and (t.name == DISTANCE or needs_position(t)))
+    known = tuple(term for term in terms if term not in missing)
     steps = step_rewards(known, attitude, moved, commands.target, previous)
-    if len(known) == len(terms):
+    if not missing:
         return EpisodeReward(steps, float(steps.sum()))
-    end = sum(term.weight for term in terms if term.name == DISTANCE) * measurement.distance
+    end = sum(term.weight * measurement.distance if term.name == DISTANCE else np.nan for term in missing)
     return EpisodeReward(np.full(len(commands.time), np.nan), float(steps.sum() + end))
 
 

@@ -33,8 +33,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from tcbi_contract.errors import TcbiError
-from tcbi_policy.artefact import Actor, Card, Policy, find_policy, replace_file, save_policy
-from tcbi_policy.configuration import TrainingConfig
+from tcbi_policy.artefact import Actor, Card, Policy, find_policy, replace_file, save_policy, strict_json
+from tcbi_policy.configuration import TrainingConfig, check_start
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import (
@@ -83,6 +83,7 @@ class State:
     cpu: float = 0.0  # s of processor time
     imitated: bool = False
     best: float = -np.inf  # mean return on the fixed seeds
+    best_diverged: int = 0  # simulations there; the best is the one with the fewest, and among those of the most return
     curve: list[dict[str, float]] = field(default_factory=list)
 
 
@@ -107,6 +108,8 @@ class Training:
           report: receives every progress object.
         """
         self.folder, self.config, self.start, self.version = folder, config.checked(), start, model.version
+        if start is not None:
+            check_start(self.config, start)
         drawn = prior_of(model, config.seed) if config.prior else model
         self.model = randomised(drawn, config.effects, config.effect_share, config.seed)
         self._report = report or (lambda _: None)
@@ -254,13 +257,16 @@ class Training:
         self._clock()
         point = {"steps": self.state.steps, "cpu_s": round(self.state.cpu, 1), **result}
         self.state.curve.append(point)
-        if result["mean_return"] > self.state.best:
-            self.state.best, self.best = result["mean_return"], present
+        rank, best = (-result["diverged"], result["mean_return"]), (-self.state.best_diverged, self.state.best)
+        if len(self.state.curve) == 1 or rank > best:
+            self.state.best_diverged, self.state.best = int(result["diverged"]), result["mean_return"]
+            self.best = present
         self.events.add(self.state.steps, {f"evaluation/{name}": value for name, value in result.items()})
         self._report({"event": "evaluation", **point})
 
     def _artefact(self) -> Policy:
-        spread = self.model.particles.std(axis=0)
+        weights, particles = self.model.weights, self.model.particles
+        spread = np.sqrt(weights @ np.square(particles - weights @ particles))
         posterior = {p.name: {"unit": p.unit, "mean": float(m), "sd": float(s)}
                      for p, m, s in zip(self.model.parameters, self.model.mean(), spread, strict=True)}  # fmt: skip
         config = dataclasses.asdict(self.config)
@@ -361,14 +367,16 @@ def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run) -> Co
     """A policy against its rival on held-out draws, both with the noise and the effects of the run's training."""
     config, seed = run.config, ACCEPTANCE_SEED + run.config.seed
     drawn = randomised(model, config.effects, config.effect_share, seed)
-    conditions = draw_conditions(drawn, config.task, run.pairs, seed)
+    conditions = draw_conditions(drawn, config.task, run.pairs, seed, systematic=True)
+    known = conditions.parameters[:, : len(model.names)]  # those of the effects differ between equal vectors
+    vectors = np.unique(known, axis=0, return_inverse=True)[1].ravel()
 
     def rolled_out(actor: Actor) -> Evaluation:
         return evaluate(noisy(actor, config.observation_noise), drawn, conditions, config.timestep, config.threads)
 
     before = rolled_out(rival)
     unchanged = isinstance(rival, Policy) and rival.card.sha256 == policy.card.sha256  # the best was the first
-    return compare_paired(before, before if unchanged else rolled_out(policy))
+    return compare_paired(before, before if unchanged else rolled_out(policy), vectors)
 
 
 def main() -> int:
@@ -382,7 +390,7 @@ def main() -> int:
         os.dup2(errors.fileno(), sys.stderr.fileno())
 
     def report(event: dict[str, Any]) -> None:
-        sys.stdout.write(json.dumps(event) + "\n")
+        sys.stdout.write(strict_json(event) + "\n")
         sys.stdout.flush()
 
     try:

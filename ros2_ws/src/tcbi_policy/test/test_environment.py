@@ -148,3 +148,30 @@ def test_observation_noise_has_the_size_that_was_asked_for_and_leaves_the_reward
     np.testing.assert_array_equal(noisy.step(actions)[1], clean.step(actions)[1])
     again, _ = noisy.reset()
     np.testing.assert_array_equal(again, noisy.reset()[0])
+
+
+def test_a_reset_in_mid_episode_begins_the_next_one_and_a_seed_the_first() -> None:
+    for environment in (HexapodEnv(MODEL, "balance", 3), HexapodVectorEnv(MODEL, "balance", 2, 3)):
+        action = 0.0 * environment.action_space.sample()
+        first = environment.reset()[0]
+        np.testing.assert_array_equal(environment.reset()[0], first)  # nothing of it has been seen
+        environment.step(action)
+        second = environment.reset()[0]
+        assert np.abs(second - first).max() > 0.01
+        environment.step(action)
+        np.testing.assert_array_equal(environment.reset(seed=3)[0], first)
+
+
+def test_a_generation_that_was_set_in_mid_episode_is_the_one_that_begins() -> None:
+    environment, other = (HexapodVectorEnv(MODEL, "balance", 2, 3) for _ in range(2))
+    environment.reset()
+    environment.step(np.zeros((2, 18)))
+    environment.generation = other.generation = 5
+    np.testing.assert_array_equal(environment.reset()[0], other.reset()[0])
+    assert environment.generation == 5
+
+
+def test_environments_without_a_seed_are_no_copies_of_one_another() -> None:
+    starts = [HexapodEnv(MODEL, "balance").reset()[0] for _ in range(2)]
+    starts += [HexapodVectorEnv(MODEL, "balance", 1).reset()[0][0] for _ in range(2)]
+    assert len(np.unique(starts, axis=0)) == 4

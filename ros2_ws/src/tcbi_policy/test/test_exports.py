@@ -1,5 +1,6 @@
 """ONNX models and TensorBoard events are what their formats say, byte by byte, and hold what they should."""
 
+import dataclasses
 import struct
 from collections.abc import Iterator
 from itertools import pairwise
@@ -62,6 +63,40 @@ def test_an_onnx_model_holds_the_network_and_its_card() -> None:
     np.testing.assert_array_equal(tensors["layer1.weight"].reshape(256, 256), mlp.weights[1].astype("f4"))
     assert tensors["limit"] == np.float32(0.52)
     assert Card.from_json(dict(fields(model[14]))[2].decode()) == card
+
+
+def evaluated(model: bytes, observation: np.ndarray) -> np.ndarray:
+    """The output of an ONNX model's graph, node by node in 64 bits; knows the operators that are written, no others."""
+    graph = list(fields(dict(fields(model))[7]))
+    values: dict[str, np.ndarray] = {"observation": observation}
+    for tensor in (list(fields(value)) for key, value in graph if key == 5):
+        facts, shape = dict(tensor), [size for key, size in tensor if key == 1]
+        values[facts[8].decode()] = np.frombuffer(facts[9], "<f4").astype(float).reshape(shape)
+    for node in (list(fields(value)) for key, value in graph if key == 1):
+        a, *rest = (values[name.decode()] for key, name in node if key == 1)
+        facts = dict(node)
+        integers = {n[1].decode(): n[3] for n in (dict(fields(value)) for key, value in node if key == 5)}
+        match facts[4].decode(), rest, integers:
+            case "Mul", [b], {}:
+                result = a * b
+            case "Tanh", [], {}:
+                result = np.tanh(a)
+            case "Gemm", [b, c], {"transB": 1}:
+                result = a @ b.T + c
+            case other:
+                raise NotImplementedError(other)
+        values[facts[2].decode()] = result
+    (output,) = (dict(fields(value))[1].decode() for key, value in graph if key == 12)
+    return values[output]
+
+
+@pytest.mark.parametrize("sizes", [(21, 256, 256, 18), (21, 18), (21, 16, 8, 4, 18)])
+def test_the_nodes_of_an_onnx_model_calculate_what_the_policy_does(sizes: tuple[int, ...]) -> None:
+    mlp = network(sizes)
+    mlp = dataclasses.replace(mlp, observation_scale=np.linspace(0.5, 4.0, sizes[0]))
+    observation = np.random.default_rng(1).normal(0, 0.3, (50, 21))
+    found = evaluated(to_onnx(mlp, Card("level", "balance")), observation)
+    np.testing.assert_allclose(found, mlp(observation), atol=1e-6)
 
 
 def test_an_onnx_model_acts_as_the_policy() -> None:

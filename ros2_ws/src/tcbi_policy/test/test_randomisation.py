@@ -9,7 +9,7 @@ from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import NoisyObservation
 from tcbi_policy.gaits import Gait
-from tcbi_policy.randomisation import HELD_OUT, divided, prior_of, randomised
+from tcbi_policy.randomisation import HELD_OUT, LEAST_HELD_OUT, LEAST_PARTICLES, divided, prior_of, randomised
 from tcbi_sim.errors import SimError
 from tcbi_sim.model import base_model
 
@@ -54,8 +54,19 @@ def test_what_policies_are_compared_on_shares_no_parameters_with_what_they_are_t
 
 
 def test_a_model_of_few_particles_is_not_divided() -> None:
-    few = MODEL.with_particles(MODEL.particles[np.arange(200) % 7])
+    few = MODEL.with_particles(MODEL.particles[np.arange(200) % (LEAST_PARTICLES - 1)])
     assert divided(few, seed=0) == (few, few)
+
+
+def test_of_a_model_that_is_divided_several_vectors_are_held_out_that_bear_weight() -> None:
+    for seed in range(50):
+        weights = np.exp(np.random.default_rng(seed).normal(0.0, 0.5, 2 * LEAST_PARTICLES))
+        model = MODEL.with_particles(MODEL.particles[: len(weights)], np.log(weights / weights.sum()))
+        kept, unseen = divided(model, seed)
+        for part, least in ((unseen, LEAST_HELD_OUT), (kept, 1.0)):
+            assert 1.0 / np.sum(part.weights**2) >= least - 1e-9
+    even = MODEL.with_particles(MODEL.particles[:LEAST_PARTICLES])
+    assert [len(part.particles) for part in divided(even, seed=0)] == [LEAST_PARTICLES - 5, 5]
 
 
 def test_environments_with_different_effects_run_side_by_side() -> None:

@@ -2,10 +2,12 @@
 
 import dataclasses
 import json
+import math
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tcbi_contract.errors import TcbiError
@@ -18,7 +20,7 @@ from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import randomised
 from tcbi_policy.retraining import OUTCOME, Job, better_than_another, next_name, plan, reference_of, retrain
 from tcbi_policy.runs import Run
-from tcbi_policy.training import ACCEPTANCE_SEED, compare_held_out
+from tcbi_policy.training import ACCEPTANCE_SEED, Training, compare_held_out
 from tcbi_sim.store import ModelStore
 
 SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
@@ -110,11 +112,58 @@ def test_both_are_compared_under_the_conditions_of_the_training(tmp_path: Path, 
     found = compare_held_out(rival, policy, model, run)
     if randomised_too:
         model = randomised(model, ("command_latency", "lost_commands"), 0.25, ACCEPTANCE_SEED)
-    conditions = draw_conditions(model, "balance", 3, ACCEPTANCE_SEED)
+    conditions = draw_conditions(model, "balance", 3, ACCEPTANCE_SEED, systematic=True)
     sigma = 0.02 if randomised_too else 0.0
     before, after = (evaluate(noisy(p, sigma), model, conditions).mean_return for p in (rival, policy))
     assert (found.before, found.after) == (before, after)
     assert (after == evaluate(policy, model, conditions).mean_return) != randomised_too  # the noise does something
+
+
+def test_equal_vectors_are_one_whatever_effects_they_are_drawn_with(tmp_path: Path) -> None:
+    policy = robust(tmp_path, **RANDOMISATION)
+    run = dataclasses.replace(plan(job(tmp_path, current="robust")), pairs=6)
+    model = ModelStore(tmp_path).load(run.model)
+    model = model.with_particles(model.particles[np.arange(12) % 3])
+    found = compare_held_out(Gait("stand"), policy, model, run)
+    assert (found.pairs, found.vectors) == (6, 3)
+    assert "on 6 held-out rollouts of 3 parameter draws" in found.statement()
+
+
+def test_an_outcome_without_a_verdict_is_json_and_its_returns_are_not_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nothing: dict[str, Any] = {"better": False, "statement": "not better", "rival": "gait:stand", "gain": None}
+    found = {"event": "comparison", "before": None, "after": None, **nothing}
+    monkeypatch.setattr(retraining, "_follow", lambda *_: found)
+    outcome = retrain(job(tmp_path), lambda event: None)
+    assert math.isnan(outcome.return_before) and math.isnan(outcome.return_after)
+    assert json.loads((Path(outcome.path).parent / OUTCOME).read_text()) == found
+
+
+def test_a_start_of_other_widths_is_refused_by_name_before_anything_starts(tmp_path: Path) -> None:
+    narrow = small(tmp_path)
+    with pytest.raises(TrainingError, match=r"hidden layers of policy small@\w+: got \(8,\), allowed is \(256, 256\)"):
+        plan(job(tmp_path, current="small"))
+    assert plan(job(tmp_path, current="small", start="none")).start == ""
+    with pytest.raises(TrainingError, match="hidden layers"):
+        Training(tmp_path, TINY, ModelStore(tmp_path).load("hexapod-v0"), start=narrow)
+
+
+def small(tmp_path: Path) -> Policy:
+    """A policy in the store that runs, but with one narrow layer."""
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    mlp = shipped.mlp
+    narrow = dataclasses.replace(
+        mlp, weights=(mlp.weights[0][:8], mlp.weights[-1][:, :8]), biases=(mlp.biases[0][:8], mlp.biases[-1])
+    )
+    return save_policy(tmp_path / "policies" / "small", narrow, dataclasses.replace(shipped.card, name="small"))
+
+
+def test_a_seed_beyond_what_the_libraries_take_is_refused(tmp_path: Path) -> None:
+    assert plan(job(tmp_path, seed=2**32 - 1)).config.seed == 2**32 - 1
+    with pytest.raises(TrainingError, match="seed: got 4294967296, allowed is 0 to 4294967295"):
+        plan(job(tmp_path, seed=2**32))
 
 
 def test_the_budget_of_the_request_holds(tmp_path: Path) -> None:
@@ -133,6 +182,7 @@ def test_a_job_ends_with_a_verdict_and_only_a_better_policy_is_kept(tmp_path: Pa
     outcome = retrain(job(tmp_path), events.append)
     assert next(e for e in events if e["event"] == "comparison")["pairs"] == 64
     assert ("held-out" in outcome.message) and not outcome.cancelled
+    assert outcome.rival == find_policy("balance").policy_id
     assert outcome.accepted == (next_name(tmp_path, "balance") == "balance-2")
     assert outcome.accepted == bool(outcome.reference)
     assert Path(outcome.path).exists()
@@ -179,17 +229,24 @@ def test_a_policy_id_stands_for_a_name_only_as_long_as_the_name_holds_it(tmp_pat
 
 def test_a_result_replaces_only_the_policy_that_it_was_compared_with(tmp_path: Path) -> None:
     balance, early, forward = (find_policy(name).policy_id for name in ("balance", "balance-early", "forward"))
-    against_early = job(tmp_path, current="balance-early")
-    for in_use in ("", "gait:steps", early):
-        assert better_than_another(in_use, against_early, tmp_path) == ""
-    assert "came into use meanwhile" in better_than_another(balance, against_early, tmp_path)
-    assert "came into use meanwhile" in better_than_another("balance@00000000", against_early, tmp_path)
-    against_forward = job(tmp_path, current="forward")
-    assert better_than_another(forward, against_forward, tmp_path) == f"{forward} is in use, a policy for forward"
+    for in_use in ("", early):
+        assert better_than_another(in_use, early, "balance", tmp_path) == ""
+    for in_use in (balance, "balance@00000000", "gait:stand"):
+        assert "came into use meanwhile" in better_than_another(in_use, early, "balance", tmp_path)
+    said = better_than_another(forward, forward, "balance", tmp_path)
+    assert said == f"{forward} is in use, a policy for forward"
+    gone = "balance@00000000"
+    assert "not known" in better_than_another(gone, gone, "balance", tmp_path)
+
+
+def test_a_gait_is_replaced_by_what_was_compared_with_it_and_by_nothing_else(tmp_path: Path) -> None:
+    assert better_than_another("gait:stand", "gait:stand", "balance", tmp_path) == ""
+    assert "came into use meanwhile" in better_than_another("gait:stand", "gait:dither", "balance", tmp_path)
 
 
 def test_a_policy_of_a_file_is_kept_in_the_store_once_and_found_by_its_id(tmp_path: Path) -> None:
     shipped, store = find_policy("balance"), tmp_path / "store"
+    assert isinstance(shipped, Policy)
     changed = dataclasses.replace(shipped.mlp, weights=tuple(w / 2 for w in shipped.mlp.weights))
     policy = save_policy(tmp_path / "mine", changed, shipped.card)
     for _ in range(2):

@@ -1,9 +1,11 @@
 """Training: the deployed network is the trained one, a killed run goes on to the same result, gaits can be copied."""
 
 import dataclasses
+import math
 import os
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -133,6 +135,37 @@ def test_training_changes_the_policy_and_the_card_tells_how(tmp_path: Path) -> N
     assert card.curve[0]["steps"] == 0 and card.curve[-1]["steps"] == 480
 
 
+def test_the_card_tells_the_weighted_spread_of_the_posterior(tmp_path: Path) -> None:
+    weights = np.array([0.7, 0.2, 0.1])
+    model = MODEL.with_particles(MODEL.particles[:3], np.log(weights))
+    told = Training(tmp_path, TINY, model)._artefact().card.posterior
+    for name, column in zip(model.names, model.particles.T, strict=True):
+        assert told[name]["sd"] == pytest.approx(np.sqrt(np.average((column - weights @ column) ** 2, weights=weights)))
+
+
+def test_the_best_moment_is_never_one_at_which_more_simulations_diverge(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moments = [(3, 10.0), (1, 20.0), (2, 9000.0), (1, 30.0), (1, 25.0), (0, 5.0), (0, math.nan)]
+    training = Training(tmp_path, TINY, MODEL)
+    for steps, (diverged, mean_return) in enumerate(moments):
+        summary = {"mean_return": mean_return, "diverged": diverged}
+        evaluation = SimpleNamespace(summary=lambda summary=summary: summary)
+        monkeypatch.setattr(training_module, "evaluate", lambda *_, evaluation=evaluation: evaluation)
+        training.state.steps = steps
+        training._evaluate()
+        best = [(3, 10.0), (1, 20.0), (1, 20.0), (1, 30.0), (1, 30.0), (0, 5.0), (0, 5.0)][steps]
+        assert (training.state.best_diverged, training.state.best) == best
+
+
+def test_a_policy_under_which_everything_diverges_has_a_card_in_plain_json(tmp_path: Path) -> None:
+    training = Training(tmp_path, TINY, MODEL)
+    training.state.best = math.nan
+    training.state.curve.append({"steps": 0, "mean_return": math.nan})
+    card = (training._artefact().path or Path()).with_suffix(".json").read_text()
+    assert "NaN" not in card and load_policy(tmp_path / "policy.safetensors").card.curve[0]["mean_return"] is None
+
+
 def test_a_start_policy_is_where_training_starts(tmp_path: Path) -> None:
     first = train(tmp_path / "first")
     second = Training(tmp_path, TINY, MODEL, start=first)
@@ -184,6 +217,7 @@ def test_a_policy_that_copied_the_tripod_walks(tmp_path: Path, monkeypatch: pyte
         ({"steps": 0}, "steps"),
         ({"gamma": 1.0}, "gamma"),
         ({"budget_s": -1.0}, "budget_s"),
+        ({"seed": 2**32}, "seed: got 4294967296, allowed is 0 to 4294967295"),
     ],
 )
 def test_a_senseless_configuration_is_refused_by_name(changes: dict[str, Any], says: str) -> None:

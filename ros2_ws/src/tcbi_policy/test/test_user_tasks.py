@@ -1,14 +1,18 @@
 """A task of one's own is one file: drawn, rewarded, checked, and trained like the built-in ones."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tcbi_policy.configuration import preset
-from tcbi_policy.environment import HexapodVectorEnv
-from tcbi_policy.reward import formula, has_reward
+from tcbi_policy.environment import TIMESTEP_S, HexapodVectorEnv
+from tcbi_policy.errors import RewardError
+from tcbi_policy.gaits import Gait
+from tcbi_policy.reward import episode_reward, formula, has_reward, needs_position, step_rewards
 from tcbi_policy.task_check import check_file
+from tcbi_sim.engine import simulate
 from tcbi_sim.model import base_model
 from tcbi_sim.tasks import find_task, tasks
 
@@ -83,3 +87,27 @@ def test_a_broken_file_is_left_out_with_a_line_and_the_others_stay(
     assert list(tasks()) == ["balance", "forward", "turn"]
     assert "broken.py" in caplog.text and "is taken already" in caplog.text
     assert find_task("turn").duration == 6.0
+
+
+APPROACH = TURN.replace("steps.attitude)[..., 2]", "steps.attitude)[..., 2] + 0.1 * steps.progress")
+
+
+@pytest.mark.parametrize(("text", "known"), [(TURN, True), (APPROACH, False)])
+def test_a_term_that_needs_the_position_leaves_a_rollout_without_a_tracker_without_a_return(
+    folder: Path, text: str, known: bool
+) -> None:
+    (folder / "turn.py").write_text(text)
+    assert check_file(folder / "turn.py") == ("turn", [])
+    model = base_model("hexapod")
+    scenario = find_task("turn").draw(np.random.default_rng(0), 0)
+    scenario = dataclasses.replace(scenario, duration=2.0)
+    out = simulate(model, model.mean()[None], [scenario], controller=Gait("tripod"), timestep=TIMESTEP_S)
+    tracked = out.measurement(0)
+    assert np.isfinite(episode_reward(tracked).total)
+    reward = episode_reward(dataclasses.replace(tracked, position=None))
+    assert len(reward.steps) == 10
+    assert np.isfinite(reward.steps).all() == np.isfinite(reward.total) == known
+    assert [needs_position(term) for term in find_task("turn").reward] == [not known, False]
+    if not known:
+        with pytest.raises(RewardError, match="term 'turn' of the reward needs the position"):
+            step_rewards("turn", np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)), None, np.zeros((1, 18)))

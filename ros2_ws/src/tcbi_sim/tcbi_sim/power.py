@@ -19,8 +19,8 @@ class ServoPower:
 
     def begin(self) -> None:
         """Take what rig and effects have written for servos at full strength."""
-        f = self._fields
-        self._gain, self._bias = f.model["actuator_gainprm"].copy(), f.model["actuator_biasprm"].copy()
+        f, servos = self._fields, self._actuators
+        self._gain, self._bias = (f.model[name][:, servos] for name in ("actuator_gainprm", "actuator_biasprm"))
         self._damping_off = f.model["dof_damping"][:, self._dofs] if f.powered_damping.any() else None
         self._limit = None
 
@@ -40,17 +40,17 @@ class ServoPower:
         share = self._share()
         if share is not None:
             gain, bias = gain.copy(), bias.copy()
-            gain[:, self._actuators, 0] *= share
-            bias[:, self._actuators, 1] *= share
-        f.model["actuator_gainprm"][...] = np.where(on, gain, 0.0)
-        f.model["actuator_biasprm"][...] = np.where(on, bias, 0.0)
+            gain[..., 0] *= share
+            bias[..., 1] *= share
+        f.model["actuator_gainprm"][:, self._actuators] = np.where(on, gain, 0.0)
+        f.model["actuator_biasprm"][:, self._actuators] = np.where(on, bias, 0.0)
         self._write_limit()
 
     def _share(self) -> np.ndarray | None:
         """(B, J) of the stiffness that is left; a servo and the link that it bends are springs in series."""
         f = self._fields
         if f.compliance.any():
-            stiffness = self._gain[:, self._actuators, 0] * f.strength
+            stiffness = self._gain[..., 0] * f.strength
             return f.strength / (1 + stiffness * f.compliance)
         return f.strength if (f.strength != 1.0).any() else None
 

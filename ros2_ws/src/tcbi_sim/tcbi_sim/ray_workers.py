@@ -33,7 +33,7 @@ import numpy as np
 
 from tcbi_contract.errors import TcbiError
 from tcbi_sim.errors import SimError
-from tcbi_sim.places import default_root, effects_folder, rigs_folder
+from tcbi_sim.places import default_root
 from tcbi_sim.workers import Here, WorkersError, using
 
 RETRIES = 5  # of one chunk
@@ -42,6 +42,8 @@ STORE_BYTES = 256 * 2**20  # of shared memory, of one's own cluster
 STARTS = 3  # tried, of one's own cluster
 ANSWER_S = 5.0  # that a cluster's head has to answer
 PACKAGES = ("tcbi_contract", "tcbi_sim", "tcbi_policy", "tcbi_infer")
+OWN_KINDS = ("effects", "rigs", "tasks", "statistics", "divergences")  # of a user's own files, a folder each
+OWN_FILES = f"the user's own {', '.join(OWN_KINDS[:-1])} and {OWN_KINDS[-1]}"
 TOKENS = {"RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"}  # by which a user says what Ray shall do
 QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
 
@@ -149,8 +151,18 @@ def versions() -> dict[str, str]:
         "MuJoCo": mujoco.__version__,
         "numpy": np.__version__,
         "tcbi": _digest(found, "*.py"),
-        "the user's own effects and rigs": _digest([effects_folder(), rigs_folder()], "*"),
+        OWN_FILES: own_files(),
     }
+
+
+def own_files() -> str:
+    """A digest of the user's own files, all of them: one may read another."""
+    return _digest([_own_folder(kind) for kind in OWN_KINDS], "*")
+
+
+def _own_folder(kind: str) -> Path:
+    given = os.environ.get(f"TCBI_{kind.upper()}")
+    return Path(given).expanduser() if given else default_root().expanduser() / kind
 
 
 def _digest(folders: Sequence[Path], pattern: str) -> str:

@@ -71,10 +71,8 @@ def rotate_back(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def sense(raw: Samples, fields: SensingFields) -> Samples:
-    """Readings without latency: offsets, bias and tilt applied to the true signals."""
+    """Readings without latency: offsets, tilt and then bias, about the IMU's own axes, applied to the true signals."""
     sensed = dataclasses.replace(raw, joint_position=raw.joint_position - fields.joint_offset[:, None, :])
-    if raw.angular_velocity is not None:
-        sensed.angular_velocity = raw.angular_velocity + fields.gyro_bias[:, None, :]
     if raw.attitude is not None and fields.imu_tilt.any():
         tilt = quaternion_from_rpy(fields.imu_tilt[:, 0], fields.imu_tilt[:, 1], np.zeros(len(fields.imu_tilt)))[
             :, None, :
@@ -85,6 +83,8 @@ def sense(raw: Samples, fields: SensingFields) -> Samples:
             values = getattr(sensed, name)
             if values is not None:
                 setattr(sensed, name, rotate_back(tilted, values))
+    if sensed.angular_velocity is not None:
+        sensed.angular_velocity = sensed.angular_velocity + fields.gyro_bias[:, None, :]
     return sensed
 
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tcbi_sim.effect_trial import try_use
+from tcbi_sim.effect_trial import EXACT, try_use
 from tcbi_sim.effects import built_in, candidates, find_use
 from tcbi_sim.engine import simulate
 from tcbi_sim.errors import SimError
@@ -43,6 +43,7 @@ CONTRACT = {
     "slope_error",
     "cable_pull",
 }
+REMAINS = {"backlash": 5e-3, "slippery_ground": 6e-3}  # rad: a second hinge, and a patch that stands above the ground
 TRIED = ("", "lm", "lm_femur", "servo")  # one site of each kind
 USES = [
     (rig.name, u.key)
@@ -57,6 +58,7 @@ def test_an_effect_vanishes_at_null_acts_at_nominal_stays_finite_at_the_ends_and
     trial = try_use(find_use(key, load_rig(rig)), load_rig(rig))
     assert trial.faults == ()
     assert max(trial.change.values()) > 1e-3
+    assert trial.null_change <= REMAINS.get(key.partition(":")[0], EXACT)
 
 
 @pytest.mark.parametrize("effect", built_in().values(), ids=built_in())
@@ -135,6 +137,34 @@ def test_a_motor_gets_no_faster_than_where_its_torque_is_used_up(slowness, faste
     speed = np.diff(out.joint_position[0, 0, :, 0]).max() * out.rig.rate
     assert speed < 2.0 if slowness else speed > 5.0
     assert speed == pytest.approx(fastest, rel=0.5)
+
+
+def test_dry_friction_of_no_torque_leaves_even_a_frictionless_rig_as_it_is():
+    trial = try_use(find_use("coulomb_friction", load_rig("double_pendulum")), load_rig("double_pendulum"))
+    assert trial.faults == () and trial.null_change <= EXACT
+
+
+def test_dry_friction_rubs_on_without_power():
+    model = base_model("double_pendulum").with_effect("coulomb_friction")
+    values = np.array([[p.nominal for p in model.parameters]])
+    times, nothing = np.arange(2) * 0.1, np.zeros((2, 2))
+    swing = Scenario("swing", 5.0, initial_joint_position=(1.0, 0.0))
+    powered, limp = (
+        simulate(model, values, [swing], commands=[Commands(times, nothing, 0.0, torque_on=on)]).joint_position
+        for on in (None, np.zeros(2, bool))
+    )
+    np.testing.assert_array_equal(limp, powered)
+
+
+def test_a_gyroscope_is_biased_about_its_own_axes_however_the_imu_is_mounted():
+    model = base_model("hexapod").with_effect("imu_tilt").with_effect("gyro_bias")
+    nominal = {p.name: p.nominal for p in model.parameters}
+    tilt, bias = {"imu_tilt.roll": 0.1, "imu_tilt.pitch": 0.0}, {f"gyro_bias.{a}": 0.0 for a in "xyz"}
+    rows = [nominal | tilt | bias, nominal | tilt | bias | {"gyro_bias.z": 0.05}]
+    values = np.array([[row[n] for n in model.names] for row in rows])
+    commands = Commands(np.array([0.0]), np.full((1, 18), 0.1))
+    plain, biased = simulate(model, values, [Scenario("move", 0.2)], commands=[commands]).angular_velocity
+    np.testing.assert_allclose(biased - plain, np.broadcast_to([0.0, 0.0, 0.05], plain.shape), atol=1e-12)
 
 
 def test_a_slow_motion_does_not_know_of_the_speed_limit():

@@ -9,7 +9,7 @@ import pytest
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Block, Commands, Scenario
 from tcbi_sim.model import base_model
-from tcbi_sim.ray_workers import _apart, versions
+from tcbi_sim.ray_workers import OWN_FILES, _apart, versions
 from tcbi_sim.sensing import Samples
 from tcbi_sim.workers import MOST_STEPS, Here, WorkersError, address_of, chunk_size, present, using, workers
 
@@ -113,9 +113,16 @@ def test_a_machine_with_other_files_says_what_differs():
     assert f"differs in numpy ({np.__version__} there, 0.1 here)" in said and "docs/scale.md" in said
 
 
-def test_the_users_own_effects_are_among_what_must_be_the_same(tmp_path, monkeypatch):
-    monkeypatch.setenv("TCBI_EFFECTS", str(tmp_path))
+@pytest.mark.parametrize("kind", ["effects", "rigs", "tasks", "statistics", "divergences"])
+@pytest.mark.parametrize("named", [True, False])
+def test_the_users_own_files_are_among_what_must_be_the_same(tmp_path, monkeypatch, kind, named):
+    monkeypatch.setenv("TCBI_STORE", str(tmp_path))
+    folder = tmp_path / ("mine" if named else kind)
+    folder.mkdir()
+    if named:
+        monkeypatch.setenv(f"TCBI_{kind.upper()}", str(folder))
     before = versions()
-    (tmp_path / "mine.py").write_text("EFFECT = 1")
+    (folder / "mine.py").write_text("EFFECT = 1")
     after = versions()
-    assert {name for name in after if after[name] != before[name]} == {"the user's own effects and rigs"}
+    assert {name for name in after if after[name] != before[name]} == {OWN_FILES}
+    assert kind in OWN_FILES

@@ -68,10 +68,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _list(args: argparse.Namespace, root: Any) -> int:
-    from tcbi_policy.artefact import GAIT_PREFIX, find_policy, policy_paths
+    from tcbi_policy.artefact import GAIT_PREFIX, policy_paths
     from tcbi_policy.gaits import GAITS
 
-    policies = [_facts(find_policy(name, root)) for name in policy_paths(root)]
+    policies = [_facts(policy) for policy in readable(policy_paths(root)).values()]
     gaits = [f"{GAIT_PREFIX}{name}" for name in GAITS]
     if args.json:
         console.emit({"policies": policies, "gaits": gaits})
@@ -81,6 +81,16 @@ def _list(args: argparse.Namespace, root: Any) -> int:
     print(POINTS)
     print(f"scripted gaits: {', '.join(gaits)}")
     return 0
+
+
+def readable(paths: dict[str, Path]) -> dict[str, Any]:
+    """Those of some policies that can be read, by name; a note names each other one."""
+    from tcbi_policy.artefact import load_all
+
+    found, faults = load_all(paths)
+    for fault in faults:
+        console.note(f"left out: {fault}")
+    return found
 
 
 def _facts(policy: Any) -> dict[str, Any]:

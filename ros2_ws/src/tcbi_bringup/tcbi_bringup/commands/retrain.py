@@ -63,15 +63,16 @@ def run(args: argparse.Namespace) -> int:
 
 def newest(task: str, root: Any) -> str:
     """The newest policy of this task in the store; without one there, the shipped one of the task's name."""
-    from tcbi_policy.artefact import Policy, find_policy, policy_paths
+    from tcbi_bringup.commands.policy import readable
+    from tcbi_policy.artefact import policy_paths
     from tcbi_policy.configuration import preset
     from tcbi_policy.errors import PolicyNotFound
 
     paths = policy_paths(root)
-    own = [find_policy(name, root) for name, path in paths.items() if path.is_relative_to(root)]
-    known = [p for p in own if isinstance(p, Policy) and p.card.task == task]
-    if known:
-        return max(known, key=lambda p: p.card.created).card.name
+    own = readable({name: path for name, path in paths.items() if path.is_relative_to(root)})
+    made = {name: policy.card.created for name, policy in own.items() if policy.card.task == task}
+    if made:
+        return max(made, key=lambda name: made[name])
     if task in paths:
         return task
     preset("fast", task)  # refuses what is no task

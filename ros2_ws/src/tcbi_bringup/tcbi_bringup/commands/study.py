@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+from pathlib import Path
 from typing import Any
 
 from tcbi_bringup.arguments import at_least, folder_path
@@ -37,23 +38,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Go on with the study, and write what there is."""
-    from tcbi_bringup.study import tables
-    from tcbi_bringup.study.experiment import Experiment
-    from tcbi_bringup.study.page import write
+    from tcbi_bringup.study.experiment import Experiment, check_report
+    from tcbi_bringup.study.notebook import hold
     from tcbi_bringup.study.plan import chosen
     from tcbi_bringup.study.robots import Laboratory
 
     plan = chosen(args.preset, args.robots, args.tasks, args.methods)
     folder = (args.out or console.store_folder(args.store) / f"study-{args.preset}").expanduser().absolute()
-    threads = args.threads or len(os.sched_getaffinity(0))
-    with Laboratory(threads) as laboratory:
-        experiment = Experiment(plan, folder, laboratory, threads)
-        findings = tables.Findings(plan, experiment.notebook)
-        if not args.report:
-            _work(experiment)
-        data = {"preset": args.preset, "folder": str(folder), **tables.everything(findings)}
-    (folder / "study.json").write_text(json.dumps(console.plain(data), indent=1) + "\n")
-    data["report"] = str(write(findings, folder / "study.html"))
+    if args.report:
+        check_report(plan, folder)
+        data = _report(args.preset, plan, folder)
+    else:
+        threads = args.threads or len(os.sched_getaffinity(0))
+        with hold(folder), Laboratory(threads) as laboratory:
+            experiment = Experiment(plan, folder, laboratory, threads)
+            try:
+                _work(experiment)
+            finally:
+                data = _report(args.preset, plan, folder)
     if args.json:
         console.emit(data)
     else:
@@ -61,21 +63,40 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _report(preset: str, plan: Any, folder: Path) -> dict[str, Any]:
+    """Write what the study has found so far; returns it."""
+    from tcbi_bringup.study import tables
+    from tcbi_bringup.study.notebook import Notebook
+    from tcbi_bringup.study.page import write
+    from tcbi_policy.artefact import replace_file
+
+    findings = tables.Findings(plan, Notebook(folder / "study.jsonl"))
+    data = {"preset": preset, "folder": str(folder), **tables.everything(findings)}
+    replace_file(folder / "study.json", (json.dumps(console.plain(data), indent=1) + "\n").encode())
+    return data | {"report": str(write(findings, folder / "study.html"))}
+
+
 def _work(experiment: Any) -> None:
     """All pieces; those of an earlier run are only counted."""
     pieces = list(experiment.plan.pieces())
+    told: set[str] = set()
     left = [piece for piece in pieces if piece not in experiment.notebook]
     console.note(f"{len(pieces)} pieces of work, {len(pieces) - len(left)} of them done, in {experiment.folder}")
     with console.progress("study", total=len(left)) as advance:
         for number, piece in enumerate(left):
             advance(done=number, note=" ".join(map(str, piece)))
-            experiment.do(piece)
+            why = experiment.do(piece).get("left_out")
+            if why and why not in told:
+                told.add(why)
+                console.note(f"{' '.join(map(str, piece))} left out: {why}")
 
 
 def _print(data: dict[str, Any]) -> None:
+    from tcbi_bringup.study.page import range_of
+
     for task, found in data["tasks"].items():
         rows = [
-            [r["label"], r["return"], r["return_sd"], f"{r['return_low95']:.0f} to {r['return_high95']:.0f}",
+            [r["label"], r["return"], r["return_sd"], range_of(r, "return"),
              r["inclination_deg"], r["distance_cm"], r["divergence_nats"], r["rollouts"]]
             for r in found["performance"]
         ]  # fmt: skip

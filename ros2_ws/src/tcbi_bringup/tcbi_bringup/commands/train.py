@@ -77,7 +77,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         console.emit(result)
     else:
-        print(f"{result['policy_id']}: mean return {result['mean_return']:.0f} after {result['steps']} steps, {path}")
+        print(
+            f"{result['policy_id']}: mean return {_known(done['mean_return']):.0f} after {done['steps']} steps, {path}"
+        )
     return 0
 
 
@@ -87,8 +89,8 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     Raises:
       TcbiError: an unknown task, preset, model, effect or policy.
     """
-    from tcbi_policy.artefact import find_policy
-    from tcbi_policy.configuration import preset
+    from tcbi_policy.artefact import Policy, find_policy
+    from tcbi_policy.configuration import check_start, preset
     from tcbi_policy.randomisation import randomised
     from tcbi_policy.retraining import fine_tuning, randomisation_of
     from tcbi_policy.runs import Run
@@ -96,8 +98,10 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     config, model = preset(args.preset, args.task), store.load(args.model)
     changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "prior": args.prior}
     if args.start:
-        config = fine_tuning(config)
-        changes |= randomisation_of(find_policy(args.start, store.root), args.task, model)
+        config, start = fine_tuning(config), find_policy(args.start, store.root)
+        if isinstance(start, Policy):
+            check_start(config, start)
+        changes |= randomisation_of(start, args.task, model)
     changes["steps"] = args.steps or config.steps
     given = {"effects": args.effect and tuple(args.effect), "observation_noise": args.noise}
     changes |= {name: value for name, value in given.items() if value is not None}
@@ -139,19 +143,28 @@ def _publish(folder: Path, out: str, root: Path) -> Path:
     return path
 
 
+def _known(value: float | None) -> float:
+    """NaN for null."""
+    return math.nan if value is None else value
+
+
 def follow(event: dict[str, Any], advance: Any) -> None:
     """Show one event of a training."""
     kind = event["event"]
     if kind == "progress":
         left_s = event["remaining_s"]
-        note = f"{event['steps']} of {event['total_steps']} steps, mean return {event['mean_return']:.0f}"
+        note = f"{event['steps']} of {event['total_steps']} steps, mean return {_known(event['mean_return']):.0f}"
         advance(done=event["share"], left_s=math.nan if left_s is None else left_s, note=note)
     elif kind == "comparing":
-        advance(done=1.0, left_s=math.nan, note=f"comparing with {event['rival']} on {event['pairs']} held-out draws")
+        advance(
+            done=1.0, left_s=math.nan, note=f"comparing with {event['rival']} on {event['pairs']} held-out rollouts"
+        )
     elif kind == "evaluation":
+        lost = f", {event['diverged']} of {event['rollouts']} diverged" if event["diverged"] else ""
         console.note(
-            f"{event['steps']} steps: return {event['mean_return']:.0f} +- {event['sd_return']:.0f}, "
-            f"final inclination {event['final_inclination_deg']:.1f} degrees, distance {event['distance_m']:.2f} m"
+            f"{event['steps']} steps: return {_known(event['mean_return']):.0f} +- {_known(event['sd_return']):.0f}, "
+            f"final inclination {_known(event['final_inclination_deg']):.1f} degrees, "
+            f"distance {_known(event['distance_m']):.2f} m{lost}"
         )
     elif kind == "imitation":
         console.note(

@@ -1,16 +1,20 @@
 """The experiment, piece by piece: collect, diagnose, infer, retrain, deploy, deploy under sensor noise.
 
-    experiment = Experiment(plan, folder, laboratory, threads=2)
-    for piece in plan.pieces():
-        experiment.do(piece)
+    with hold(folder):
+        experiment = Experiment(plan, folder, laboratory, threads=2)
+        for piece in plan.pieces():
+            experiment.do(piece)
 
 Each piece is kept in the notebook when it is finished; rollouts and models lie in the study's folder. Everything is
-seeded by the piece, so that a study that was stopped and went on has the results of one that ran through.
+seeded by the piece, so that a study that was stopped and went on has the results of one that ran through. A piece that
+fails is left out with its reason, as are those that need it; the others are done, and the next call tries it again.
 """
 
 import dataclasses
 import json
 import shutil
+import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +22,7 @@ import numpy as np
 
 from tcbi_bringup.demo.plan import recordings, slope_of
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
-from tcbi_bringup.errors import BringupError
+from tcbi_bringup.errors import BringupError, WrongCallError
 from tcbi_bringup.study.notebook import Notebook, Result
 from tcbi_bringup.study.plan import CONTESTANTS, FIRST, WINNER, Key, Plan
 from tcbi_bringup.study.robots import Laboratory, Order
@@ -46,17 +50,26 @@ from tcbi_sim.model import Model, base_model
 from tcbi_sim.sensing import add_noise
 from tcbi_sim.store import ModelStore
 
+PLAN = "plan.json"  # in the study's folder
 COLLECTING, DEPLOYING, MOTIONS = 1, 2, 3  # seeds of the scenarios
 DRAWS = 4  # simulations of each deployed scenario, for the divergence
 EVALUATE_EVERY = 3  # sets of episodes: a short training has few of them, and the best moment is kept
 
 
+class _NotThere(Exception):
+    """A piece has nothing to work on; carries what there is instead of the result that it needs."""
+
+    def __init__(self, instead: Result):
+        super().__init__(instead)
+        self.instead = instead
+
+
 class Experiment:
-    """A study at work in its folder."""
+    """A study at work in its folder, which the caller holds (`notebook.hold`)."""
 
     def __init__(self, plan: Plan, folder: Path, laboratory: Laboratory, threads: int = 0):
         folder.mkdir(parents=True, exist_ok=True)
-        _same_sizes(plan, folder / "plan.json")
+        replace_file(folder / PLAN, json.dumps(_sizes_with(plan, folder), indent=1).encode())
         self.plan, self.folder, self.laboratory, self.threads = plan, folder, laboratory, threads
         self.notebook = Notebook(folder / "study.jsonl")
         self.store = ModelStore(folder / "store")
@@ -64,8 +77,20 @@ class Experiment:
 
     def do(self, piece: Key) -> Result:
         """Do a piece, unless it is done."""
-        stage, *rest = piece
-        return self.notebook.once(piece, lambda: getattr(self, f"_{stage}")(*rest))
+        return self.notebook.once(piece, lambda: self._tried(*piece))
+
+    def _tried(self, stage: str, *rest: Any) -> Result:
+        """A piece's result; where it fails, why, with the mark that it is not done."""
+        work: Callable[..., Result] = getattr(self, f"_{stage}")
+        try:
+            return work(*rest)
+        except Interrupted:
+            raise
+        except _NotThere as e:
+            return e.instead
+        except Exception as e:  # noqa: BLE001 - the other robots and methods go on; the report says it
+            why = f"{stage} failed: {type(e).__name__}: {' '.join(str(e).split())}"
+            return {"left_out": why, "not_yet": True, "traceback": traceback.format_exc()}
 
     # -- the pieces -------------------------------------------------------------------------------------------------
 
@@ -119,6 +144,7 @@ class Experiment:
             method = find_method(contestant.method)
         except InferError as e:
             return {"left_out": str(e), "not_yet": True}
+        self._needed("truth", "collect", task, robot)
         rollouts = read_measurements([self._rollouts_of(task, robot)])
         problem = Problem.of(
             model, rollouts, statistics=contestant.statistics or method.statistics, policies=self.store.root,
@@ -140,8 +166,6 @@ class Experiment:
 
     def _train(self, task: str, robot: int, name: str) -> Result:
         found = self._inferred(task, robot, name)
-        if "model" not in found:
-            return found
         plan = self.plan.tasks[task]
         start = find_policy(plan.first_policy, self.store.root)
         assert isinstance(start, Policy)
@@ -166,8 +190,6 @@ class Experiment:
     def _deploy(self, task: str, robot: int, name: str) -> Result:
         plan = self.plan.tasks[task]
         reference, model = self._policy(task, robot, name)
-        if reference is None:
-            return self._inferred(task, robot, name)
         scenarios = self._deployed(task, robot)
         rollouts = self.laboratory.run(self._orders(robot, scenarios, reference, 100))
         ends = [float(np.degrees(inclination(_attitude(m)[-1]))) for m in rollouts]
@@ -182,8 +204,6 @@ class Experiment:
 
     def _noise(self, task: str, robot: int, name: str) -> Result:
         reference, _ = self._policy(task, robot, name)
-        if reference is None:
-            return self._inferred(task, robot, name)
         scenarios = self._deployed(task, robot)[: self.plan.tasks[task].noisy]
         levels = {}
         for sigma in self.plan.noise:
@@ -208,24 +228,29 @@ class Experiment:
         """The model whose parameters are inferred; None where no effect was found that it could have."""
         if not CONTESTANTS[name].with_effect:
             return base_model("hexapod")
-        diagnosed = self.notebook.get("diagnose", robot)
-        assert diagnosed is not None
-        return self.store.load(diagnosed["model"]) if diagnosed["model"] else None
+        version = self._needed("model", "diagnose", robot)["model"]
+        return self.store.load(version) if version else None
 
     def _inferred(self, task: str, robot: int, name: str) -> Result:
-        found = self.notebook.get("infer", task, robot, name)
-        assert found is not None
-        return found if "model" in found else {k: found[k] for k in ("same_as", "left_out", "not_yet") if k in found}
+        return self._needed("model", "infer", task, robot, name)
 
-    def _policy(self, task: str, robot: int, name: str) -> tuple[str | None, Model]:
-        """Where the policy of a contestant lies, None if there is none, and the model that it was trained on."""
+    def _needed(self, entry: str, *piece: Any) -> Result:
+        """The result of an earlier piece, if it has this entry.
+
+        Raises:
+          _NotThere: it is left out, or that of another contestant.
+        """
+        found = self.notebook.get(*piece) or {"left_out": f"{piece[0]} was not done", "not_yet": True}
+        if entry not in found:
+            raise _NotThere({k: found[k] for k in ("same_as", "left_out", "not_yet") if k in found})
+        return found
+
+    def _policy(self, task: str, robot: int, name: str) -> tuple[str, Model]:
+        """Where the policy of a contestant lies, and the model that it was trained on."""
         if name == FIRST:
             return self.plan.tasks[task].first_policy, base_model("hexapod")
         found = self._inferred(task, robot, name)
-        if "model" not in found:
-            return None, base_model("hexapod")
-        trained = self.notebook.get("train", task, robot, name)
-        assert trained is not None
+        trained = self._needed("policy", "train", task, robot, name)
         return str(self.folder / trained["policy"]), self.store.load(found["model"])
 
     def _rollouts_of(self, task: str, robot: int) -> Path:
@@ -242,21 +267,36 @@ class Experiment:
         part.rename(folder)
 
 
-def _same_sizes(plan: Plan, path: Path) -> None:
-    """Keep the sizes of a study, and refuse to go on with others; robots and methods may be added.
+def check_report(plan: Plan, folder: Path) -> None:
+    """Refuse to write the report of a plan where there is no study, or one of other sizes; nothing is changed.
+
+    Raises:
+      BringupError: of other sizes.
+      WrongCallError: there is none.
+    """
+    if not (folder / PLAN).is_file():
+        raise WrongCallError(
+            f"{folder} holds no study (it has no {PLAN}); give the --out of one, or begin one without --report"
+        )
+    _sizes_with(plan, folder)
+
+
+def _sizes_with(plan: Plan, folder: Path) -> Result:
+    """The sizes of a study with those of a plan; robots and methods may be added.
 
     Raises:
       BringupError: the folder holds a study of other sizes.
     """
+    path = folder / PLAN
     sizes = {task: dataclasses.asdict(p) for task, p in plan.tasks.items()}
     sizes["all"] = {"noise": list(plan.noise), "motions": list(plan.diagnosis.motions)}
     known = json.loads(path.read_text()) if path.exists() else {}
     different = [name for name, size in sizes.items() if known.get(name, size) != size]
     if different:
         raise BringupError(
-            f"{path.parent} holds a study of other sizes ({', '.join(different)}); give another --out, or its preset"
+            f"{folder} holds a study of other sizes ({', '.join(different)}); give another --out, or its preset"
         )
-    replace_file(path, json.dumps(known | sizes, indent=1).encode())
+    return known | sizes
 
 
 def divergences(rollouts: list[Measurement], policy: Policy, model: Model, seed: int, threads: int = 0) -> list[float]:

@@ -1,55 +1,87 @@
-"""What a study has found so far: one JSON line for each finished piece, so that a stopped study goes on.
+"""What a study has found so far: one JSON line for each piece of work, so that a stopped study goes on.
 
-notebook = Notebook(folder / "study.jsonl")
-result = notebook.once(("train", "balance", 11, "tcbi"), work)      # work() -> dict, unless it is there already
+with hold(folder):                                                      # one writer at a time; readers need none of it
+    notebook = Notebook(folder / "study.jsonl")
+    result = notebook.once(("train", "balance", 11, "tcbi"), work)      # work() -> dict, unless it is there already
 """
 
+import fcntl
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from tcbi_bringup.commands.console import plain
+from tcbi_bringup.errors import BringupError
 from tcbi_bringup.study.plan import Key
 
 Result = dict[str, Any]
+LOCK = ".study.lock"
+
+
+@contextmanager
+def hold(folder: Path) -> Iterator[None]:
+    """Make a study's folder, and keep every other writer out of it.
+
+    Raises:
+      BringupError: another process goes on with the study.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            raise BringupError(
+                f"{folder}: process {file.read().strip() or 'unknown'} goes on with this study; wait for it or stop "
+                "it, look at what there is with --report, or give another --out"
+            ) from None
+        file.truncate(0)
+        file.write(f"{os.getpid()}\n")
+        file.flush()
+        yield
 
 
 class Notebook:
-    """The file, and its lines by key. A last line that was cut off is written again."""
+    """The file, and its lines by key; of several lines with one key the last counts.
+
+    A piece is done unless its result is marked `not_yet`: such a one can be read, and is worked out anew. Opening
+    changes nothing; a last line that was cut off is cut away before the first that is written.
+    """
 
     def __init__(self, path: Path):
         self._path = path
         self._found: dict[Key, Result] = {}
-        if path.exists():
-            data = path.read_bytes()
-            complete = data[: data.rfind(b"\n") + 1]
-            if len(complete) < len(data):
-                os.truncate(path, len(complete))
-            for line in complete.decode().splitlines():
-                entry = json.loads(line)
-                self._found[tuple(entry["key"])] = entry["result"]
+        data = path.read_bytes() if path.exists() else b""
+        self._complete = data.rfind(b"\n") + 1
+        for line in data[: self._complete].decode().splitlines():
+            entry = json.loads(line)
+            self._found[tuple(entry["key"])] = entry["result"]
 
     def __contains__(self, key: Key) -> bool:
-        return key in self._found
+        return "not_yet" not in self._found.get(key, {"not_yet": True})
 
     def get(self, *key: Any) -> Result | None:
-        """The result of a piece of work; None where it is not done."""
+        """The result of a piece of work; None where it was not tried."""
         return self._found.get(key)
 
     def once(self, key: Key, work: Callable[[], Result]) -> Result:
         """The result under a key, worked out and kept if it is not there."""
-        if key not in self._found:
+        if key not in self:
             began, cpu = time.monotonic(), time.process_time()
             result = plain(work())
             result |= {"wall_s": round(time.monotonic() - began, 2), "cpu_s": round(time.process_time() - cpu, 2)}
+            self._write(json.dumps({"key": list(key), "result": result}) + "\n")
             self._found[key] = result
-            if "not_yet" in result:  # until something is installed: the next call tries again
-                return result
-            with self._path.open("a") as file:
-                file.write(json.dumps({"key": list(key), "result": result}) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
         return self._found[key]
+
+    def _write(self, line: str) -> None:
+        with self._path.open("ab") as file:
+            file.truncate(self._complete)
+            file.write(line.encode())
+            file.flush()
+            os.fsync(file.fileno())
+            self._complete = file.tell()

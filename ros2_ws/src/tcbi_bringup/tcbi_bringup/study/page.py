@@ -7,9 +7,11 @@ import matplotlib
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from tcbi_bringup.demo.plan import recordings
 from tcbi_bringup.study import tables
-from tcbi_bringup.study.plan import LABELS, WINNER
-from tcbi_bringup.study.tables import ENOUGH_ROBOTS, PARAMETERS, Findings
+from tcbi_bringup.study.plan import CONTESTANTS, EFFECT, LABELS, WINNER, Plan
+from tcbi_bringup.study.tables import ENOUGH, PARAMETERS, Findings
+from tcbi_contract.wording import counted
 from tcbi_infer.report import Report, Section, Table
 from tcbi_infer.report.page import Figure
 from tcbi_infer.report.plots import INK, STYLE, WIDE, canvas, to_svg
@@ -23,6 +25,10 @@ LEAD = (
     "policy was retrained once on each posterior with the same budget and deployed on the robot in the same scenarios. "
     "All that came out is shown, whoever wins."
 )
+EXTRA = (
+    " One contestant knows more than the others: {label} also had the recordings of the diagnosis, {motions} of "
+    "{length:g} s from each robot. It stands only on the robots where an effect was added; elsewhere it is {rival}."
+)
 WELCH = (
     "Welch's t-test over all rollouts, as the paper has it. Rollouts on one robot resemble one another, so with few "
     "robots its p values are too small. Each policy is one training: what another seed of the training would have "
@@ -30,7 +36,7 @@ WELCH = (
     "further from the robot."
 )
 BAND = "Mean over robots, with its 95 % interval as a band; with fewer than three, a thin line for each robot."
-NONE_OF_FEW = "Intervals are 95 %, from resampling robots: with fewer than three robots there is none."
+NONE_OF_FEW = "Intervals are 95 %, Student's t over robots: with fewer than three robots there is none."
 CAPTION_OF_TIME = "Figure 11: wall time of a generation. Median of each robot's generations, mean over robots, 95 %"
 ONE_BY_ONE = (
     "Pieces of work run one after another, so the sum is how long the study ran, without what was lost with pieces "
@@ -44,7 +50,7 @@ WIDTH = (
 
 def write(findings: Findings, path: Path) -> Path:
     """Write the report; returns its path."""
-    report = Report("Does it transfer?", LEAD)
+    report = Report("Does it transfer?", lead(findings.plan))
     data = tables.everything(findings)
     report.add(Section("In short", notes=[*_short(findings, data), *data["notes"]]))
     for task in findings.plan.tasks:
@@ -54,6 +60,15 @@ def write(findings: Findings, path: Path) -> Path:
             _inference(report, findings, task, data["tasks"][task])
     _times(report, data)
     return report.write(path)
+
+
+def lead(plan: Plan) -> str:
+    """What was done, and who had which data."""
+    if not any(CONTESTANTS[name].with_effect for name in plan.contestants):
+        return LEAD
+    had = plan.diagnosis
+    motions = counted(len(recordings(had.motions, had.repeated)), "motion")
+    return LEAD + EXTRA.format(label=LABELS[EFFECT], motions=motions, length=had.motion_s, rival=LABELS[WINNER])
 
 
 def _short(findings: Findings, data: dict[str, Any]) -> list[str]:
@@ -67,15 +82,13 @@ def _short(findings: Findings, data: dict[str, Any]) -> list[str]:
         if effect:
             lines.append(
                 f"{task}: with the diagnosed effect in the model the return is {effect['with']:.0f} against "
-                f"{effect['without']:.0f} without, a gain of {effect['gain']:.0f} ({effect['low95']:.0f} to "
-                f"{effect['high95']:.0f}) on {effect['robots']} robots; on {effect['right']} of them the effect is the "
-                "one that is hidden."
+                f"{effect['without']:.0f} without, a gain of {effect['gain']:.0f} (95 %: {range_of(effect, 'gain')}) "
+                f"on {effect['robots']} of {counted(len(findings.robots), 'robot')}, those where one was named; on "
+                f"{effect['right']} of them it is the one that is hidden, at its place."
             )
-    few = len(findings.robots) < ENOUGH_ROBOTS
     lines.append(
-        "Intervals are 95 %, from resampling the rollouts of these robots; they say nothing of other robots."
-        if few
-        else "Intervals are 95 %, from resampling robots and the rollouts of each."
+        f"Intervals are 95 %, Student's t over robots. Where a row stands on fewer than {ENOUGH}, they come from the "
+        "scatter of the rollouts on each and say nothing of other robots."
     )
     return lines
 
@@ -92,7 +105,7 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
         "n",
     ]
     cells = [
-        [r["label"], _spread(r, "return", 0), _range(r, "return"),
+        [r["label"], _spread(r, "return", 0), range_of(r, "return"),
          *(_spread(r, key, digits) for key, digits in SHOWN.items()), r["rollouts"]]
         for r in rows
     ]  # fmt: skip
@@ -101,7 +114,7 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
         Section(f"{task}: performance on the robot ({number})", table=Table(head, cells, "mean ± standard deviation"))
     )
     welch = [
-        [r["label"], r.get("gain_returns"), _range(r, "gain_returns"), _p(r, "p_returns"), _p(r, "p_returns_holm"),
+        [r["label"], r.get("gain_returns"), range_of(r, "gain_returns"), _p(r, "p_returns"), _p(r, "p_returns_holm"),
          r.get("gain_divergence"), _p(r, "p_divergence"), _p(r, "p_divergence_holm")]
         for r in found["comparisons"]
     ]  # fmt: skip
@@ -115,9 +128,7 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
         "p",
         "p (Holm)",
     ]
-    spread = {
-        LABELS[n]: np.concatenate(list(findings.values(task, n, "divergence").values())) for n in findings.names(task)
-    }
+    spread = {r["label"]: np.concatenate(list(findings.values(task, r["name"], "divergence").values())) for r in rows}
     caption = "Figure 9 or 10: divergence with each policy"
     shown = [Figure(boxes(spread, "divergence of rewards, robot to simulation / nats"), caption, True)]
     if found["noise"]:
@@ -140,8 +151,8 @@ def _inference(report: Report, findings: Findings, task: str, found: dict[str, A
     ]
     rows = [
         [r["label"], r["parameter"],
-         f"{r['variance_reduction']:.0%}", _range(r, "variance_reduction", ".0%"),
-         f"{r['relative_error']:.0%}", _range(r, "relative_error", ".0%"),
+         f"{r['variance_reduction']:.0%}", range_of(r, "variance_reduction", ".0%"),
+         f"{r['relative_error']:.0%}", range_of(r, "relative_error", ".0%"),
          f"{r['truth_in_90']} of {r['robots']}", f"{r['ess']:.0f}"]
         for r in found["variance_reduction"]
     ]  # fmt: skip
@@ -171,7 +182,8 @@ def _spread(row: dict[str, Any], key: str, digits: int) -> str:
     return f"{row[key]:.{digits}f} ± {row[f'{key}_sd']:.{digits}f}"
 
 
-def _range(row: dict[str, Any], key: str, how: str = ".0f") -> str:
+def range_of(row: dict[str, Any], key: str, how: str = ".0f") -> str:
+    """A row's interval of an entry; a dash where there is none."""
     low, high = (row.get(f"{key}_{side}95", np.nan) for side in ("low", "high"))
     return f"{low:{how}} to {high:{how}}" if np.isfinite(low) else "–"
 
@@ -195,7 +207,7 @@ def generations(rows: tables.Rows, key: str, axis: str) -> str:
                 axes.fill_between(at, low, high, color=color, alpha=0.12, lw=0)
             else:
                 axes.plot(at, [r[f"{key}_each"] for r in mine], color=color, alpha=0.4, lw=0.5)
-            axes.plot(at, mean, "o-", ms=3, lw=1.2, color=color, label=LABELS[name])
+            axes.plot(at, mean, "o-", ms=3, lw=1.2, color=color, label=mine[0]["label"])
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("generation")
         axes.set_ylabel(axis)
@@ -224,7 +236,7 @@ def lines_of_noise(rows: tables.Rows) -> str:
             axes.fill_between(
                 sigma, [r["low95"] for r in mine], [r["high95"] for r in mine], color=color, alpha=0.12, lw=0
             )
-            axes.plot(sigma, mean, "o-", ms=3, color=color, label=LABELS[name])
+            axes.plot(sigma, mean, "o-", ms=3, color=color, label=mine[0]["label"])
         axes.set_xlabel("noise on joint angles and attitude / rad")
         axes.set_ylabel("return")
         axes.legend(fontsize=7)

@@ -121,7 +121,7 @@ def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = ""
       preset: by name.
       robots: numbers with commas; empty for the preset's.
       tasks: names with commas.
-      contestants: names with commas.
+      contestants: names with commas; `tcbi_effect` brings `tcbi`, which it is compared with.
 
     Raises:
       UnknownNameError: there is no such preset, task or method.
@@ -131,7 +131,7 @@ def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = ""
         raise UnknownNameError("preset", preset, tuple(PRESETS))
     plan = PRESETS[preset]
     if robots:
-        numbers = [text.strip() for text in robots.split(",")]
+        numbers = dict.fromkeys(text.strip() for text in robots.split(","))
         if not all(number.isdecimal() for number in numbers):
             raise WrongCallError(describe("robots", robots, "numbers from 0 on, with commas"))
         plan = dataclasses.replace(plan, robots=tuple((int(number), "strong") for number in numbers))
@@ -139,12 +139,15 @@ def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = ""
         names = _known(tasks, "task of the study", plan.tasks)
         plan = dataclasses.replace(plan, tasks={name: plan.tasks[name] for name in names})
     if contestants:
-        plan = dataclasses.replace(plan, contestants=tuple(_known(contestants, "method of the study", CONTESTANTS)))
+        names = _known(contestants, "method of the study", CONTESTANTS)
+        if EFFECT in names and WINNER not in names:
+            names.insert(names.index(EFFECT), WINNER)
+        plan = dataclasses.replace(plan, contestants=tuple(names))
     return plan
 
 
 def _known(text: str, what: str, names: dict) -> list[str]:
-    wanted = [name.strip() for name in text.split(",")]
+    wanted = list(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in wanted:
         if name not in names:
             raise UnknownNameError(what, name, tuple(names))

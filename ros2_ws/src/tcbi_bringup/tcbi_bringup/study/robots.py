@@ -5,8 +5,11 @@ with Laboratory(workers=2) as laboratory:
 """
 
 import multiprocessing
+import os
+import threading
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -48,16 +51,41 @@ def done(order: Order) -> Measurement:
     return measure(robot, order.scenario, actor, trial=order.trial, policy_id=actor.policy_id)
 
 
+def _end_with_parent() -> None:
+    """End this worker when its parent is killed; the pool's own workers would wait for orders for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 class Laboratory:
     """Processes in which robots move; with one worker they move in this one."""
 
     def __init__(self, workers: int):
-        spawn = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(workers, mp_context=spawn) if workers > 1 else None
+        self._workers = workers
+        self._pool = self._new_pool()
+
+    def _new_pool(self) -> ProcessPoolExecutor | None:
+        if self._workers < 2:
+            return None
+        return ProcessPoolExecutor(self._workers, multiprocessing.get_context("spawn"), _end_with_parent)
 
     def run(self, orders: Sequence[Order]) -> list[Measurement]:
-        """All orders, in their order."""
-        return list(self._pool.map(done, orders) if self._pool else map(done, orders))
+        """All orders, in their order.
+
+        Raises:
+          BrokenProcessPool: a process died, for want of memory perhaps; the next call has new ones.
+        """
+        try:
+            return list(self._pool.map(done, orders) if self._pool else map(done, orders))
+        except BrokenProcessPool:
+            self._pool = self._new_pool()
+            raise
 
     def __enter__(self) -> Self:
         return self

@@ -1,9 +1,9 @@
 """From what was found to the paper's Tables 3 to 6, as plain data.
 
-Every row says on how many robots and rollouts it stands. Intervals are 95 %, from resampling robots (where there are
-three or more) and the rollouts within them; with fewer robots they speak of these robots alone, and the tables say so.
-What an inference gives is one number for each robot: its interval comes from resampling robots, and with fewer than
-three there is none (NaN).
+Every row says on how many robots and rollouts it stands: those on which a contestant has results of its own. Intervals
+are 95 %, Student's t on the robots' means (three or more); with fewer robots they come from the scatter of the rollouts
+on each and speak of these robots alone, and the tables say so. What an inference gives is one number for each robot:
+with fewer than three there is no interval (NaN).
 """
 
 from collections.abc import Sequence
@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 from scipy.stats import ttest_ind
 
 from tcbi_bringup.study.notebook import Notebook, Result
 from tcbi_bringup.study.plan import EFFECT, FIRST, LABELS, WINNER, Plan
+from tcbi_contract.wording import counted
 
-RESAMPLES = 4000
-ENOUGH_ROBOTS = 3  # below which robots are not resampled
+ENOUGH = 3  # robots for an interval over robots, rollouts on each for one within them
 PARAMETERS = ("friction", "mass", "gain")
 Rows = list[dict[str, Any]]
 
@@ -35,11 +36,9 @@ class Findings:
         return [robot for robot, _ in self.plan.robots]
 
     def result(self, stage: str, task: str, robot: int, name: str) -> Result | None:
-        """A piece's result, or that of the contestant that it is the same as; None where it is not there."""
+        """A piece's own result; None where it is not there, or another contestant's."""
         found = self.notebook.get(stage, task, robot, name)
-        if found and "same_as" in found:
-            found = self.notebook.get(stage, task, robot, found["same_as"])
-        return None if found is None or "left_out" in found else found
+        return None if found is None or {"left_out", "same_as"} & set(found) else found
 
     def values(self, task: str, name: str, what: str) -> dict[int, np.ndarray]:
         """Robot -> what its deployments gave, in the order of the scenarios."""
@@ -51,9 +50,23 @@ class Findings:
         return (self.notebook.get("collect", task, robot) or {})["truth"]
 
     def hidden(self, robot: int) -> str:
-        """What is hidden in a robot, as far as it is known yet."""
-        known = (self.notebook.get("collect", task, robot) for task in self.plan.tasks)
-        return next((str(found["truth"]["hidden"]) for found in known if found), "not looked at yet")
+        """What is hidden in a robot, "name" or "name:site" as a diagnosis names it, as far as it is known yet."""
+        for task in self.plan.tasks:
+            found = self.notebook.get("collect", task, robot) or {}
+            if "truth" in found:
+                effect = found["truth"]["effect"]
+                site = effect.get("leg") or effect.get("joint")
+                return f"{found['truth']['hidden']}{f':{site}' if site else ''}"
+        return "not looked at yet"
+
+    def named(self, robot: int) -> str:
+        """The effect that the diagnosis of a robot added to the model; "" where there is none."""
+        return next(iter((self.notebook.get("diagnose", robot) or {}).get("effects", ())), "")
+
+    def label(self, name: str, robots: int) -> str:
+        """A contestant's label, with the number of robots that a row stands on where it is not all."""
+        total = len(self.robots)
+        return LABELS[name] + (f" ({robots} of {counted(total, 'robot')})" if robots < total else "")
 
     def names(self, task: str) -> list[str]:
         """Contestants that have deployed at least once, the first policy before all."""
@@ -61,10 +74,10 @@ class Findings:
 
     def left_out(self) -> list[str]:
         """Why a contestant does not take part, and what each diagnosis said."""
-        lines: dict[str, None] = {}
+        lines = dict.fromkeys(self._missing())
         for robot in self.robots:
             diagnosed = self.notebook.get("diagnose", robot)
-            if diagnosed:
+            if diagnosed and "statement" in diagnosed:
                 lines[f"robot {robot} (hidden in it: {self.hidden(robot)}): {diagnosed['statement']}"] = None
             for task in self.plan.tasks:
                 for name in self.plan.contestants:
@@ -73,31 +86,38 @@ class Findings:
                     lines |= {f"{about}: {warning}": None for warning in found.get("warnings", ())}
                     if (self.notebook.get("train", task, robot, name) or {}).get("unchanged"):
                         lines[f"{about}: no moment of the training was better than the first policy, which runs"] = None
-                    if "left_out" in found:
-                        lines[f"{LABELS[name]} left out: {found['left_out']}"] = None
                     if "same_as" in found:
                         lines[f"robot {robot}: no effect was added, so {LABELS[name]} is {LABELS[WINNER]} there"] = None
         return list(lines)
 
+    def _missing(self) -> list[str]:
+        places: dict[tuple[str, str], dict[str, None]] = {}
+        for piece in self.plan.pieces():
+            why = (self.notebook.get(*piece) or {}).get("left_out")
+            if why:
+                who = LABELS[piece[3]] if len(piece) > 3 else piece[0]
+                where = f"robot {piece[2]}, {piece[1]}" if len(piece) > 2 else f"robot {piece[1]}"
+                places.setdefault((who, why), {})[where] = None
+        return [f"{who} left out ({'; '.join(found)}): {why}" for (who, why), found in places.items()]
 
-def interval(parts: Sequence[np.ndarray], rng: np.random.Generator | None = None) -> tuple[float, float]:
-    """95 % interval of the mean of values of several robots, by resampling; NaN where there is nothing to resample."""
-    rng = rng or np.random.default_rng(0)
-    parts = [p[np.isfinite(p)] for p in parts]
-    parts = [p for p in parts if len(p)]
-    shape = (RESAMPLES, len(parts))
-    if len(parts) >= ENOUGH_ROBOTS:
-        picked = rng.integers(len(parts), size=shape)
-    elif all(len(p) == 1 for p in parts):
-        return float("nan"), float("nan")
+
+def interval(parts: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Student's 95 % interval of the mean of values of several robots; NaN where there are too few.
+
+    With fewer than three robots, of these robots' own mean, from the scatter on each (Welch and Satterthwaite).
+    """
+    parts = [p for p in (p[np.isfinite(p)] for p in parts) if len(p)]
+    means = np.array([p.mean() for p in parts])
+    if len(parts) >= ENOUGH:
+        variance, freedom = means.var(ddof=1) / len(parts), len(parts) - 1.0
+    elif parts and min(map(len, parts)) >= ENOUGH:
+        shares = np.array([p.var(ddof=1) / len(p) for p in parts]) / len(parts) ** 2
+        variance = shares.sum()
+        freedom = variance**2 / (shares**2 / [len(p) - 1 for p in parts]).sum() if variance else 1.0
     else:
-        picked = np.broadcast_to(np.arange(len(parts)), shape)
-    means = np.empty(shape)
-    for i, part in enumerate(parts):
-        here = picked == i
-        means[here] = part[rng.integers(len(part), size=(here.sum(), len(part)))].mean(axis=1)
-    low, high = np.quantile(means.mean(axis=1), (0.025, 0.975))
-    return float(low), float(high)
+        return float("nan"), float("nan")
+    half = stdtrit(freedom, 0.975) * np.sqrt(variance)
+    return float(means.mean() - half), float(means.mean() + half)
 
 
 def _over_robots(key: str, each: Sequence[float]) -> dict[str, Any]:
@@ -110,7 +130,7 @@ def performance(findings: Findings, task: str) -> Rows:
     """Tables 4 and 5: return, final inclination and distance of each contestant's policy on the robots."""
     rows = []
     for name in findings.names(task):
-        row: dict[str, Any] = {"name": name, "label": LABELS[name]}
+        row: dict[str, Any] = {"name": name}
         for what, factor, key in (
             ("returns", 1.0, "return"),
             ("final_inclination_deg", 1.0, "inclination_deg"),
@@ -121,32 +141,37 @@ def performance(findings: Findings, task: str) -> Rows:
             pooled = np.concatenate(parts)
             row |= {key: float(np.nanmean(pooled)), f"{key}_sd": float(np.nanstd(pooled, ddof=1))}
             row[f"{key}_low95"], row[f"{key}_high95"] = interval(parts)
-        rows.append(row | {"robots": len(parts), "rollouts": len(pooled)})
+        rows.append(row | {"label": findings.label(name, len(parts)), "robots": len(parts), "rollouts": len(pooled)})
     return rows
 
 
 def comparisons(findings: Findings, task: str, rival: str = WINNER) -> Rows:
     """Table 6: Welch's t-test of each contestant against one, of return and divergence, with Holm's correction.
 
-    Only robots that both have deployed on count. `gain` is the rival's mean return minus the contestant's.
+    Only robots count that both have deployed on, each with a policy of its own. `gain` is the rival's mean return minus
+    the contestant's.
     """
     ours = {what: findings.values(task, rival, what) for what in ("returns", "divergence")}
     rows: Rows = []
     for name in findings.names(task):
         if name == rival or not ours["returns"]:
             continue
-        row: dict[str, Any] = {"name": name, "label": LABELS[name], "rival": LABELS[rival]}
+        both = sorted(set(findings.values(task, name, "returns")) & set(ours["returns"]))
+        if not both:
+            continue
+        row: dict[str, Any] = {"name": name, "label": findings.label(name, len(both)), "rival": LABELS[rival]}
+        row["robots"] = len(both)
         for what in ours:
             theirs = findings.values(task, name, what)
-            both = sorted(set(theirs) & set(ours[what]))
-            if not both:
-                continue
             a, b = (np.concatenate([side[robot] for robot in both]) for side in (ours[what], theirs))
             row[f"p_{what}"] = float(ttest_ind(a, b, equal_var=False, nan_policy="omit").pvalue)
             differences = [ours[what][robot] - theirs[robot] for robot in both]
             low, high = interval(differences)
-            row |= {f"gain_{what}": float(np.nanmean(np.concatenate(differences))), "robots": len(both)}
-            row |= {f"gain_{what}_low95": low, f"gain_{what}_high95": high}
+            row |= {
+                f"gain_{what}": float(np.nanmean(np.concatenate(differences))),
+                f"gain_{what}_low95": low,
+                f"gain_{what}_high95": high,
+            }
         rows.append(row)
     for what in ("returns", "divergence"):
         _holm(rows, f"p_{what}")
@@ -165,11 +190,10 @@ def _holm(rows: Rows, key: str) -> None:
 def effect_gain(findings: Findings, task: str) -> dict[str, Any] | None:
     """Beyond the paper: the return with the diagnosed effect in the model against without, where one was named.
 
-    `right` counts the robots whose effect it is.
+    `right` counts the robots whose effect it is, at the place where it is.
     """
     with_effect, without = findings.values(task, EFFECT, "returns"), findings.values(task, WINNER, "returns")
-    found = [r for r in findings.robots if (findings.notebook.get("diagnose", r) or {}).get("model")]
-    both = [r for r in found if r in with_effect and r in without]
+    both = sorted(set(with_effect) & set(without))
     if not both:
         return None
     parts = [with_effect[r] - without[r] for r in both]
@@ -180,17 +204,12 @@ def effect_gain(findings: Findings, task: str) -> dict[str, Any] | None:
     }
     return {
         "robots": len(both),
-        "right": sum(_is_hidden(findings, robot) for robot in both),
+        "right": sum(findings.named(robot) == findings.hidden(robot) for robot in both),
         **means,
         "gain": float(np.mean([p.mean() for p in parts])),
-        "low95": low,
-        "high95": high,
+        "gain_low95": low,
+        "gain_high95": high,
     }
-
-
-def _is_hidden(findings: Findings, robot: int) -> bool:
-    named = (findings.notebook.get("diagnose", robot) or {})["effects"][0]
-    return bool(named.partition(":")[0] == findings.hidden(robot))
 
 
 def variance_reduction(findings: Findings, task: str) -> Rows:
@@ -209,7 +228,7 @@ def variance_reduction(findings: Findings, task: str) -> Rows:
                 errors.append(abs(e["mean"] - truth) / truth)
                 inside.append(e["low90"] <= truth <= e["high90"])
             rows.append({
-                "name": name, "label": LABELS[name], "parameter": parameter, "robots": len(usable),
+                "name": name, "label": findings.label(name, len(usable)), "parameter": parameter, "robots": len(usable),
                 **_over_robots("variance_reduction", reductions), **_over_robots("relative_error", errors),
                 "truth_in_90": int(np.sum(inside)), "ess": float(np.mean(effective)),
             })  # fmt: skip
@@ -223,7 +242,8 @@ def seconds(findings: Findings, task: str) -> Rows:
         found = [findings.result("infer", task, robot, name) for robot in findings.robots]
         each = [_generation_s(r) for r in found if r]
         if each:
-            rows.append({"name": name, "label": LABELS[name], "robots": len(each), **_over_robots("seconds", each)})
+            label = findings.label(name, len(each))
+            rows.append({"name": name, "label": label, "robots": len(each), **_over_robots("seconds", each)})
     return rows
 
 
@@ -244,8 +264,9 @@ def noise(findings: Findings, task: str) -> Rows:
                 low, high = interval(parts)
                 pooled = np.concatenate(parts)
                 rows.append({
-                    "name": name, "label": LABELS[name], "sigma": sigma, "return": float(np.nanmean(pooled)),
-                    "return_sd": float(np.nanstd(pooled)), "low95": low, "high95": high, "rollouts": len(pooled),
+                    "name": name, "label": findings.label(name, len(parts)), "sigma": sigma,
+                    "return": float(np.nanmean(pooled)), "return_sd": float(np.nanstd(pooled)),
+                    "low95": low, "high95": high, "rollouts": len(pooled),
                 })  # fmt: skip
     return rows
 
@@ -267,7 +288,7 @@ def progress(findings: Findings, task: str) -> Rows:
                 error = (np.array([g["mean"][i] for g in now]) - truths) / truths
                 ratio = np.array([g["variance_ratio"][i] for g in now])
                 rows.append({
-                    "name": name, "label": LABELS[name], "parameter": parameter, "generation": t + 1,
+                    "name": name, "label": findings.label(name, len(runs)), "parameter": parameter, "generation": t + 1,
                     "robots": len(runs), "error_each": error.tolist(), "variance_ratio_each": ratio.tolist(),
                     **_over_robots("error", error.tolist()), **_over_robots("variance_ratio", ratio.tolist()),
                 })  # fmt: skip
@@ -282,7 +303,7 @@ def times(findings: Findings) -> Rows:
         empty = {"stage": stage, "task": task, "pieces": 0, "done": 0, "wall_s": 0.0}
         row, found = rows.setdefault((task, stage), empty), findings.notebook.get(*piece)
         row["pieces"] += 1
-        row["done"] += found is not None
+        row["done"] += piece in findings.notebook
         row["wall_s"] += (found or {}).get("wall_s", 0.0)
     return sorted(rows.values(), key=lambda row: row["task"])
 

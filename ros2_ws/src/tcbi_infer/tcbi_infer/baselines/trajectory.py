@@ -49,11 +49,12 @@ def trajectories(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndar
         real = _state(group.arrays, attitude)
         measured = np.isfinite(real)
         difference = np.where(measured, _state(arrays, attitude) - real, 0.0)
-        summary = _summary(arrays, attitude, problem.rate)
-        sums = np.abs(difference).sum(axis=(1, 2)), (difference**2).sum(axis=(1, 2)), np.nansum(summary, axis=1)
-        parts.append((*sums, measured.sum(axis=(1, 2)), np.full(1, summary.shape[1])))
+        known = np.isfinite(_summary(group.arrays, attitude, problem.rate))
+        summary = np.where(known, _summary(arrays, attitude, problem.rate), 0.0)
+        sums = np.abs(difference).sum(axis=(1, 2)), (difference**2).sum(axis=(1, 2)), summary.sum(axis=1)
+        parts.append((*sums, measured.sum(axis=(1, 2)), known.sum(axis=1)))
     absolute, square, summary, samples, count = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-    samples = np.maximum(samples, 1)
+    samples, count = np.maximum(samples, 1), np.maximum(count, 1)
     return Trajectories(absolute / samples, square / samples, summary / count, valid)
 
 

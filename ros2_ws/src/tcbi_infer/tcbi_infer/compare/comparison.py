@@ -12,7 +12,7 @@ from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.findings import Finding, Moment
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.locate import locate
-from tcbi_infer.compare.noise import NoiseFloor, noise_floor
+from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.scorer import Scorer, SignalError, Traces, error_over_floor
 from tcbi_infer.compare.worst import WorstMoment, worst
@@ -35,7 +35,7 @@ class Comparison:
     Attributes:
       signals: every channel, then distance and reward over time.
       statistics: what the task is about, one figure a rollout: return, final inclination, contact ratios, …
-      error_over_floor: root mean square of `ratio` over joints and attitude.
+      error_over_floor: root mean square of `ratio` over joints and attitude; infinite where the model diverged.
       guards: findings about the recording and the replay, to be read before any figure.
       worst: the moments to look at first, the worst one in front.
       distance: travelled, over time; None where no tracker told.
@@ -121,7 +121,7 @@ def compare(
     rollouts = replay.simulate(model, mean[None], timestep=timestep)
     predicted = replay.by_rollout(replay.channels(rollouts)[0])
     residual = replay.measured - predicted
-    floor = floor or noise_floor(replay.layout, replay.measured, residual, replay.replicates)
+    floor = floor or replay.noise_floor(residual)
     if len(floor.values) != len(replay.layout.channels):
         raise CompareError(f"the floor has {len(floor.values)} signals, these rollouts {len(replay.layout.channels)}")
     scorer = Scorer(replay, floor, predicted, _task_mean(task.predicted(replay, rollouts, _all(replay))))
@@ -130,8 +130,7 @@ def compare(
     names = tuple(m.rollout_id for m in replay.measurements)
     findings = guard(measurements) + common_lag(replay.layout, replay.time, replay.measured, predicted, names)
     findings += _idle_parameters(model, replay, mean, floor.values)
-    if not np.isfinite(predicted).any():
-        findings.append("The simulation at the model's mean parameters diverged, so there is no prediction.")
+    findings += scorer.divergences()
     where = locate(
         load_rig(model.rig), replay.layout, replay.measurements, replay.time, residual, predicted, floor.values
     )
@@ -140,7 +139,7 @@ def compare(
         names,
         (*scorer.channel_errors(), *scorer.task_errors(signals=True)),
         scorer.task_errors(signals=False),
-        error_over_floor(replay.layout, residual, floor.values),
+        error_over_floor(replay.layout, replay.measured, predicted, floor.values),
         floor,
         tuple(findings),
         tuple(where),
@@ -163,9 +162,8 @@ def error_figure(
     """
     replay = Replay.of(model, measurements)
     predicted = replay.by_rollout(replay.predict(model, model.mean()[None], timestep=timestep)[0])
-    residual = replay.measured - predicted
-    floor = floor or noise_floor(replay.layout, replay.measured, residual, replay.replicates)
-    return error_over_floor(replay.layout, residual, floor.values)
+    floor = floor or replay.noise_floor(replay.measured - predicted)
+    return error_over_floor(replay.layout, replay.measured, predicted, floor.values)
 
 
 def _all(replay: Replay) -> list[int]:

@@ -3,6 +3,9 @@
 Phases are masks: stance and swing (where the rig has feet), just after a reversal of direction, standing still, moving.
 Conditions are numbers: load, speed, command size, slope, time since start, temperature and voltage where they were
 read, and whatever the recording says of itself as a constant that differs between rollouts (a gain, a supply voltage).
+
+The commands of a rig that is driven by torque tell no motion: its phases are those of the predicted one, and its load
+is the torque.
 """
 
 import dataclasses
@@ -11,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tcbi_infer.compare.clocks import by_torque
 from tcbi_infer.compare.kinds import UNDER_LOAD
 from tcbi_infer.compare.signals import DEGREE, JOINT, Layout, reference
 from tcbi_infer.readings import QUANTITIES, Quantity, on_joints
@@ -70,15 +74,22 @@ class Condition:
         }
 
 
-def phases(rig: Rig, measurement: Measurement, time: np.ndarray) -> dict[str, np.ndarray]:
-    """Boolean masks (T, J) over samples and joints, by phase of the commanded motion.
+def phases(
+    rig: Rig, measurement: Measurement, time: np.ndarray, predicted: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """Boolean masks (T, J) over samples and joints, by phase of the commanded motion; by torque, of the predicted one.
 
     Args:
       rig: the robot.
       measurement: the rollout, sampled at `time`.
       time: (T,) s of the common grid.
+      predicted: (T, J) rad, for a rig driven by torque; without it the measured motion counts.
     """
-    speed = np.gradient(reference(measurement, time), time, axis=0)
+    if rig.kind == "position":
+        motion = reference(measurement, time)
+    else:
+        motion = measurement.joint_position if predicted is None else predicted
+    speed = np.gradient(motion, time, axis=0)
     moving = np.abs(speed) > SLOW
     reversal = _reversals(speed, moving, max(1, round(REVERSAL_S / float(time[1] - time[0]))))
     return {
@@ -120,7 +131,8 @@ def conditions(
     """What may make an error grow; what never varies is left out.
 
     Load is how far the model's servo gives way, commanded less predicted position: what a position servo turns into
-    torque. It is taken from the prediction, since the measured position stands in the error itself.
+    torque. It is taken from the prediction, since the measured position stands in the error itself. A rig driven by
+    torque has its torque as load, and nothing else of its commands.
 
     Args:
       layout: the channels.
@@ -128,18 +140,34 @@ def conditions(
       time: (T,) s.
       predicted: (R, T, C).
     """
-    asked = np.stack([reference(m, time) for m in measurements])
-    shape = asked.shape
-    load = np.abs(asked * DEGREE - predicted[..., layout.where(JOINT)])
+    angles = predicted[..., layout.where(JOINT)]
+    shape = angles.shape
     slope = [np.hypot(m.scenario.slope_roll, m.scenario.slope_pitch) * DEGREE for m in measurements]
     found = [
-        Condition("load: the model's servo gives way", "deg", load, UNDER_LOAD),
-        Condition("commanded speed", "deg/s", np.abs(np.gradient(asked, time, axis=1)) * DEGREE, "at high speed"),
-        Condition("size of the command", "deg", _command_sizes(measurements, time), "on large commands"),
+        *_commanded(measurements, time, angles),
         Condition("slope", "deg", _wide(slope, shape), "on the steeper slopes"),
         Condition("time since start", "s", np.broadcast_to(time[None, :, None], shape), "late in the rollouts"),
     ]
     return [c for c in (*found, *_read(measurements, time), *_recorded(measurements, shape)) if c.varies]
+
+
+def torques(measurement: Measurement, time: np.ndarray) -> np.ndarray:
+    """(T, J) N m: what the commands of a rig driven by torque asked for, nothing before the first."""
+    still = dataclasses.replace(measurement, joint_position=np.zeros_like(measurement.joint_position))
+    return reference(still, time)
+
+
+def _commanded(measurements: Sequence[Measurement], time: np.ndarray, angles: np.ndarray) -> list[Condition]:
+    """Load, speed and size of the commands from the predicted (R, T, J) deg."""
+    if by_torque(measurements[0]):
+        torque = np.abs(np.stack([torques(m, time) for m in measurements]))
+        return [Condition("load: the torque commanded", "N m", torque, UNDER_LOAD)]
+    asked = np.stack([reference(m, time) for m in measurements])
+    return [
+        Condition("load: the model's servo gives way", "deg", np.abs(asked * DEGREE - angles), UNDER_LOAD),
+        Condition("commanded speed", "deg/s", np.abs(np.gradient(asked, time, axis=1)) * DEGREE, "at high speed"),
+        Condition("size of the command", "deg", _command_sizes(measurements, time), "on large commands"),
+    ]
 
 
 def _wide(each: Sequence[float], shape: tuple[int, ...]) -> np.ndarray:

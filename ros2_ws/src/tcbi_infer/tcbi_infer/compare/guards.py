@@ -11,6 +11,7 @@ import numpy as np
 
 from tcbi_infer.compare.clocks import LONGEST, MOVES, Following, aligned, clock_rate, correlation
 from tcbi_infer.compare.imu_guards import check_imu
+from tcbi_infer.compare.replicates import find_replicates
 from tcbi_infer.gaps import unusable
 from tcbi_sim.measurement import Measurement
 
@@ -21,6 +22,9 @@ ECHO_LAGS = np.arange(0.0, 0.105, 0.005)  # s
 UNITS = {180 / np.pi: "degrees", 4096 / (2 * np.pi): "raw encoder counts", 1023 / np.radians(300): "raw encoder counts"}
 OFF_UNIT = 5.0  # times its command that a joint in rad never moves
 HELD = 0.4  # share of repeated samples in motion that is no chance
+SIGNALS = ("attitude", "angular_velocity", "linear_acceleration", "contact", "position")  # that may be missing
+CUT = 0.3  # s by which a recording ends before its repeat, which no jitter of the end explains
+ALONE = ": the repeat counts alone there"
 STEPS = 5.0  # encoder steps between two samples in which a value must change
 
 
@@ -29,9 +33,9 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
     findings: dict[str, list[str]] = {}
     followings = [Following(m) for m in measurements]
     rate = clock_rate(followings)
-    clocks = aligned(measurements, followings).findings
-    for m, following, artefacts in zip(measurements, followings, clocks, strict=True):
-        for finding in dict.fromkeys((*m.notes, *check_recording(m, following), *_rate(rate), *artefacts)):
+    clocks, odd = aligned(measurements, followings).findings, _uneven_repeats(measurements)
+    for m, following, artefacts, lacks in zip(measurements, followings, clocks, odd, strict=True):
+        for finding in dict.fromkeys((*m.notes, *check_recording(m, following), *_rate(rate), *artefacts, *lacks)):
             findings.setdefault(finding, []).append(m.rollout_id)
     sentences = []
     for finding, rollouts in findings.items():
@@ -62,6 +66,24 @@ def _copies(measurements: Sequence[Measurement]) -> list[str]:
         f"{one} is {other} again to the last bit{more}: a simulation that repeats itself does not show how much a "
         "robot differs from itself, so such repeats count for no noise floor."
     ]
+
+
+def _uneven_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
+    """Of each recording, what it lacks that a repeat of the same commands has."""
+    findings: list[list[str]] = [[] for _ in measurements]
+    whole = [r for r, m in enumerate(measurements) if len(m.commands.time) and len(m.time)]
+    ends = [min(measurements[r].scenario.duration, float(measurements[r].time[-1])) for r in whole]
+    for group in find_replicates([measurements[r] for r in whole]):
+        has = {i: {s for s in SIGNALS if getattr(measurements[whole[i]], s) is not None} for i in group.members}
+        every, last = set().union(*has.values()), max(ends[i] for i in group.members)
+        for i in group.members:
+            if missing := ", ".join(s for s in SIGNALS if s in every - has[i]):
+                findings[whole[i]].append(f"A repeat of the same commands has {missing}, which is missing here{ALONE}")
+            if last - ends[i] > CUT:
+                findings[whole[i]].append(
+                    f"Ends at {ends[i]:.1f} s, a repeat of the same commands at {last:.1f} s{ALONE}"
+                )
+    return findings
 
 
 def check_recording(m: Measurement, following: Following | None = None) -> list[str]:

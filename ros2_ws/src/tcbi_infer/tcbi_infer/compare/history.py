@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tcbi_infer.compare.comparison import error_figure
 from tcbi_infer.compare.ladder import seen_by
-from tcbi_infer.compare.noise import NoiseFloor, noise_floor
+from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.seen import used_before
 from tcbi_infer.worker_process import finite
@@ -80,7 +80,7 @@ def remember(lines: Sequence[VersionError], folder: Path, rig: str, not_counted:
 def _floor(model: Model, measurements: Sequence[Measurement]) -> NoiseFloor:
     replay = Replay.of(model, measurements)
     predicted = replay.by_rollout(replay.predict(model, model.mean()[None])[0])
-    return noise_floor(replay.layout, replay.measured, replay.measured - predicted, replay.replicates)
+    return replay.noise_floor(replay.measured - predicted)
 
 
 def _kept(model: Model, models: Sequence[Model]) -> float | None:

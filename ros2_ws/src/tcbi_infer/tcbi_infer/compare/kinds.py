@@ -53,14 +53,14 @@ class Kind:
         return f"scatter{s} by {size:.1f} deg about the prediction"
 
 
-def kind_of(error: np.ndarray, predicted: np.ndarray, velocity: np.ndarray, asked: np.ndarray) -> Kind:
+def kind_of(error: np.ndarray, predicted: np.ndarray, velocity: np.ndarray, asked: np.ndarray | None) -> Kind:
     """The kind that makes up most of an error.
 
     Args:
       error: (J, n) deg, measured less predicted, NaN where it does not count; one row for each joint.
       predicted: (J, n) deg.
       velocity: (J, n) deg/s, of the prediction.
-      asked: (J, n) deg, the command.
+      asked: (J, n) deg, the command; None where none asks for a position, and so nothing gives way.
     """
     here = np.isfinite(error)
     error = np.where(here, error, 0.0)
@@ -70,7 +70,7 @@ def kind_of(error: np.ndarray, predicted: np.ndarray, velocity: np.ndarray, aske
         LAG: -velocity,
         HYSTERESIS: -np.sign(velocity) * (np.abs(velocity) > SLOW),
         OFFSET: np.ones_like(error),
-        DROOP: predicted - asked,
+        **({} if asked is None else {DROOP: predicted - asked}),
         GAIN: predicted - middle,
     }
     total = float(np.sum(error**2))

@@ -79,6 +79,10 @@ def unexplained(error_over_floor: float) -> float:
 
 
 def explained(base: float, last: float) -> float:
-    """Share of the base model's squared error beyond the floor that the last version no longer has; NaN without any."""
+    """Share of the base model's squared error beyond the floor that the last version no longer has; NaN without any.
+
+    Also NaN where one of the two diverged: of an infinite error there are no shares.
+    """
     excess = base**2 - 1.0
-    return float(1.0 - max(last**2 - 1.0, 0.0) / excess) if excess > 0 else float("nan")
+    told = excess > 0 and np.isfinite([base, last]).all()
+    return float(1.0 - max(last**2 - 1.0, 0.0) / excess) if told else float("nan")

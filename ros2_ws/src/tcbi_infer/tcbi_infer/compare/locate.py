@@ -75,10 +75,11 @@ class _Joints:
         self.valid = np.isfinite(self.error)
         self.scaled = np.where(self.valid, (np.nan_to_num(self.error) / floor[self.index]) ** 2, 0.0)
         self.excess = np.maximum(self.scaled - 1.0, 0.0) * self.valid
-        self.asked = np.stack([reference(m, time) for m in measurements]) * DEGREE
+        by_position = rig.kind == "position"
+        self.asked = np.stack([reference(m, time) for m in measurements]) * DEGREE if by_position else None
         self.velocity = np.gradient(self.predicted, time, axis=1)
         self.cells = {"": tuple(range(len(self.names))), **joint_cells(rig)}
-        each = [phases(rig, m, time) for m in measurements]
+        each = [phases(rig, m, time, q / DEGREE) for m, q in zip(measurements, self.predicted, strict=True)]
         none = np.zeros(self.error.shape[1:], bool)
         self.masks = {"": np.ones(self.error.shape, bool)}
         self.read: set[str] = set()  # phases by a reading, which drifts with much else
@@ -148,7 +149,8 @@ class _Joints:
             return values[..., members].reshape(-1, len(members)).T
 
         error = np.where(cell, self.error, np.nan)
-        kind = kind_of(rows(error), rows(self.predicted), rows(self.velocity), rows(self.asked))
+        asked = None if self.asked is None else rows(self.asked)
+        kind = kind_of(rows(error), rows(self.predicted), rows(self.velocity), asked)
         names = tuple(self.names[j] for j in members)
         statement = (
             f"{_who(label, names)} {kind.words(len(names) > 1, phase)}: {here:.2g} deg, {over:.1f} "

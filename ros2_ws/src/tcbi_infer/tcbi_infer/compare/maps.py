@@ -10,7 +10,7 @@ import numpy as np
 from tcbi_infer.compare.comparison import Comparison
 from tcbi_infer.compare.conditions import conditions, phases
 from tcbi_infer.compare.findings import FEWEST
-from tcbi_infer.compare.signals import JOINT
+from tcbi_infer.compare.signals import DEGREE, JOINT
 from tcbi_sim.rigs import load_rig
 
 BINS = 8
@@ -52,8 +52,10 @@ def heat(comparison: Comparison) -> Heat:
     scaled = _scaled(comparison)
     replay = comparison.replay
     rig = load_rig(replay.rig)
+    predicted = comparison.predicted[..., replay.layout.where(JOINT)] / DEGREE
     each = [
-        {"at any time": np.ones(scaled.shape[1:], bool), **phases(rig, m, replay.time)} for m in replay.measurements
+        {"at any time": np.ones(scaled.shape[1:], bool), **phases(rig, m, replay.time, q)}
+        for m, q in zip(replay.measurements, predicted, strict=True)
     ]
     names = list(dict.fromkeys(name for masks in each for name in masks))
     rows, worst = [], []

@@ -40,7 +40,11 @@ class NoiseFloor:
 
 
 def noise_floor(
-    layout: Layout, measured: np.ndarray, residual: np.ndarray, replicates: Sequence[Replicates]
+    layout: Layout,
+    measured: np.ndarray,
+    residual: np.ndarray,
+    replicates: Sequence[Replicates],
+    readings: np.ndarray | None = None,
 ) -> NoiseFloor:
     """The floor from replicates where there are any, else from the residual.
 
@@ -49,25 +53,31 @@ def noise_floor(
       measured: (R, T, C) measured channels, NaN where missing.
       residual: (R, T, C) measured less predicted.
       replicates: which of the R rollouts repeat each other.
+      readings: (R, T) bool, samples at which a rollout has readings of its own; all of them by default.
     """
     squares, freedom = np.zeros(measured.shape[-1]), np.zeros(measured.shape[-1])
     kept = layout.kept(measured.shape[1])
     for group in replicates:
-        values = distinct(measured[list(group.members)])
-        if len(values) < 2:
-            continue
-        spread = np.where(kept, values - values.mean(axis=0), np.nan)
-        full = np.isfinite(spread).all(axis=0)
-        squares += np.nansum(np.where(full, spread, 0.0) ** 2, axis=(0, 1))
-        freedom += (len(values) - 1) * full.sum(axis=0)
-    if np.any(freedom > 0):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            values = np.sqrt(squares / freedom)
-        fallback = from_fast_changes(residual)
-        known = np.isfinite(values)
-        estimated = tuple(int(i) for i in np.nonzero(~known)[0])
-        return NoiseFloor(np.fmax(np.where(known, values, fallback), layout.floor()), True, estimated)
-    return NoiseFloor(np.fmax(from_fast_changes(residual), layout.floor()), False)
+        square, free = scatter(np.where(kept, distinct(measured[list(group.members)]), np.nan))
+        squares += square.sum(axis=0)
+        freedom += free.sum(axis=0)
+    fallback = np.empty(len(layout.channels))
+    for kind in {c.group for c in layout.channels}:
+        index = layout.where(kind)
+        fallback[index] = from_fast_changes(residual[..., index], readings, layout.samples_in(kind))
+    known = freedom > 0
+    if not known.any():
+        return NoiseFloor(np.fmax(fallback, layout.floor()), False)
+    values = np.where(known, np.sqrt(squares / np.maximum(freedom, 1)), fallback)
+    return NoiseFloor(np.fmax(values, layout.floor()), True, tuple(int(i) for i in np.nonzero(~known)[0]))
+
+
+def scatter(repeats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sum of squares (...) of (R, ...) repeats about their mean, and its degrees of freedom, of those that measured."""
+    there = np.isfinite(repeats)
+    count = there.sum(axis=0)
+    mean = np.where(there, repeats, 0.0).sum(axis=0) / np.maximum(count, 1)
+    return (np.where(there, repeats - mean, 0.0) ** 2).sum(axis=0), np.maximum(count - 1, 0)
 
 
 def distinct(values: np.ndarray) -> np.ndarray:
@@ -79,11 +89,30 @@ def distinct(values: np.ndarray) -> np.ndarray:
     return values[kept]
 
 
-def from_fast_changes(residual: np.ndarray) -> np.ndarray:
-    """(C,) standard deviation of white noise with the same second differences: r[t-1] - 2 r[t] + r[t+1]."""
-    second = residual[:, 2:] - 2 * residual[:, 1:-1] + residual[:, :-2]
-    count = np.maximum(np.isfinite(second).sum(axis=(0, 1)), 1)
-    return np.sqrt(np.nansum(second**2, axis=(0, 1)) / count / 6.0)
+def from_fast_changes(residual: np.ndarray, readings: np.ndarray | None = None, window: int = 1) -> np.ndarray:
+    """(C,) standard deviation of white noise with the same second differences: r[t-1] - 2 r[t] + r[t+1].
+
+    Neighbours share no noise: of averages one is taken of each window, of a slow recording the samples near its own
+    readings, since those interpolated between them are smoother than the sensor.
+
+    Args:
+      residual: (R, T, C), NaN where missing.
+      readings: (R, T) bool, samples that lie at readings; all of them by default.
+      window: samples that one value averages over.
+    """
+    squares, count = np.zeros(residual.shape[-1]), np.zeros(residual.shape[-1])
+    for r, values in enumerate(residual):
+        at = np.arange(len(values)) if readings is None else np.flatnonzero(readings[r])
+        if len(at) < 3:
+            continue
+        stride = int(np.ceil(window * (len(at) - 1) / (at[-1] - at[0]) - 1e-9))
+        at = at[stride // 2 :: stride]
+        before, after = (step[:, None].astype(float) for step in (np.diff(at)[:-1], np.diff(at)[1:]))
+        second = after * values[at[:-2]] - (before + after) * values[at[1:-1]] + before * values[at[2:]]
+        second /= np.sqrt(before**2 + after**2 + (before + after) ** 2)
+        squares += np.nansum(second**2, axis=0)
+        count += np.isfinite(second).sum(axis=0)
+    return np.sqrt(squares / np.maximum(count, 1))
 
 
 def autocorrelation_time(values: np.ndarray) -> float:

@@ -2,11 +2,14 @@
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from tcbi_infer.compare.clocks import aligned
 from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
+from tcbi_infer.compare.lengths import extended, side_by_side
+from tcbi_infer.compare.noise import NoiseFloor, noise_floor
 from tcbi_infer.compare.replicates import Replicates, find_replicates
 from tcbi_infer.compare.signals import Layout
 from tcbi_infer.gaps import unusable
@@ -16,6 +19,9 @@ from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
 LEAST_SAMPLES = 10
+SPREAD = 1.5  # sets whose lengths differ by less are simulated together
+NEAR = 0.2  # periods of a slow recording from one of its readings: further off a sample is an average of two
+SLOW = 1.5  # periods of the grid between two readings: more leave samples that are only interpolated
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +35,8 @@ class Replay:
       time: (T,) s.
       measured: (R, T, C) channels, NaN where not measured or after a rollout's end.
       replicates: (S) sets of rollouts that were asked for the same thing.
+      readings: (R, T) bool, samples at which a rollout has readings of its own; between those of a slow one there are
+        only interpolated values.
     """
 
     rig: str
@@ -39,6 +47,7 @@ class Replay:
     replicates: tuple[Replicates, ...]
     scenarios: tuple[Scenario, ...]
     commands: tuple[Commands, ...]
+    readings: np.ndarray
 
     @staticmethod
     def of(model: Model, measurements: Sequence[Measurement], rate: float | None = None) -> "Replay":
@@ -67,7 +76,8 @@ class Replay:
             measured[r, _spoilt(layout, m, time)] = np.nan
         replicates = tuple(find_replicates(usable))
         scenarios, commands = zip(*[_asked(usable, g, float(time[-1])) for g in replicates], strict=True)
-        return Replay(model.rig, layout, sampled, time, measured, replicates, scenarios, commands)
+        readings = np.stack([_readings(m.time, time, rate) for m in usable])
+        return Replay(model.rig, layout, sampled, time, measured, replicates, scenarios, commands, readings)
 
     def predict(
         self, model: Model, parameters: np.ndarray, sets: Sequence[int] | None = None, timestep: float = 0.002
@@ -88,16 +98,49 @@ class Replay:
     def simulate(
         self, model: Model, parameters: np.ndarray, sets: Sequence[int] | None = None, timestep: float = 0.002
     ) -> SimulatedRollouts:
-        """The simulations behind `predict`, with everything that they sense."""
-        chosen = range(len(self.replicates)) if sets is None else sets
-        return simulate(
-            model,
-            np.atleast_2d(parameters),
-            [self.scenarios[s] for s in chosen],
-            commands=[self.commands[s] for s in chosen],
-            timestep=timestep,
-            rate=self.layout.rate,
-        )
+        """The simulations behind `predict`, with everything that they sense.
+
+        A set that is much shorter than the longest one is simulated to about its own end only, and repeats its last
+        sample from there on: nothing was measured there.
+        """
+        chosen = np.array(range(len(self.replicates)) if sets is None else sets, int)
+        places, parts = [], []
+        for samples in np.unique(self._lengths[chosen]):
+            places.append(np.flatnonzero(self._lengths[chosen] == samples))
+            own, end = chosen[places[-1]], float(self.time[samples - 1])
+            whole = samples == len(self.time)
+            scenarios = [self.scenarios[s] for s in own]
+            part = simulate(
+                model,
+                np.atleast_2d(parameters),
+                scenarios if whole else [dataclasses.replace(s, duration=end) for s in scenarios],
+                commands=[self.commands[s] for s in own],
+                timestep=timestep,
+                rate=self.layout.rate,
+            )
+            parts.append(part if whole else extended(part, scenarios, np.concatenate([[0.0], self.time])))
+        return parts[0] if len(parts) == 1 else side_by_side(parts, np.argsort(np.concatenate(places)))
+
+    @cached_property
+    def _lengths(self) -> np.ndarray:
+        """(S,) samples to simulate of each set: to the end of the longest of those that last about as long.
+
+        A few more than were measured, so that averages at the end are those of a longer simulation.
+        """
+        every = len(self.time)
+        result = np.full(len(self.replicates), every)
+        if not len(self.measured):
+            return result
+        there = np.isfinite(self.measured).any(axis=2)
+        ends = np.where(there.any(axis=1), every - np.argmax(there[:, ::-1], axis=1), 0)
+        own = np.array([max(ends[r] for r in g.members) for g in self.replicates])
+        own += max(self.layout.samples_in(c.group) for c in self.layout.channels)
+        left = own * SPREAD < every
+        while left.any():
+            longest = own[left].max()
+            result[left] = longest
+            left &= own * SPREAD < longest
+        return result
 
     def channels(self, rollouts: SimulatedRollouts) -> np.ndarray:
         """(N, S, T, C) channels of simulations; NaN for those that diverged."""
@@ -112,10 +155,34 @@ class Replay:
             owner[list(group.members)] = s
         return predicted[..., owner, :, :]
 
-    def means(self) -> tuple[np.ndarray, np.ndarray]:
-        """(S, T, C) mean over the replicates of each set, and (S,) how many they were."""
-        mean = np.stack([self.measured[list(g.members)].mean(axis=0) for g in self.replicates])
-        return mean, np.array([len(g.members) for g in self.replicates])
+    def noise_floor(self, residual: np.ndarray) -> NoiseFloor:
+        """The floor from these rollouts' repeats, else from their residual (R, T, C)."""
+        return noise_floor(self.layout, self.measured, residual, self.replicates, self.readings)
+
+    def means(self) -> np.ndarray:
+        """(S, T, C) mean over the replicates of each set, of those that measured; NaN where none did."""
+        return np.stack([_mean(self.measured[list(g.members)]) for g in self.replicates])
+
+    def counts(self) -> np.ndarray:
+        """(S, T, C) how many replicates of each set measured each sample."""
+        return np.stack([np.isfinite(self.measured[list(g.members)]).sum(axis=0) for g in self.replicates])
+
+
+def _mean(repeats: np.ndarray) -> np.ndarray:
+    """(...) mean of what is there of (R, ...); NaN of nothing."""
+    there = np.isfinite(repeats)
+    count = there.sum(axis=0)
+    return np.where(count, np.where(there, repeats, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+
+
+def _readings(own: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:
+    """(T,) bool: samples of the grid next to a rollout's own stamps; all where these are about as close as the grid."""
+    period = float(np.median(np.diff(own))) * rate
+    if period < SLOW:
+        return np.ones(len(time), bool)
+    at = (own - time[0]) * rate
+    near = np.rint(at)
+    return np.isin(np.arange(len(time)), near[np.abs(at - near) <= NEAR * period])
 
 
 def _useless(m: Measurement) -> str:

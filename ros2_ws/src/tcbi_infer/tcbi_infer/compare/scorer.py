@@ -12,6 +12,7 @@ from tcbi_infer.compare.scores import crps, predictive_band
 from tcbi_infer.compare.signals import ATTITUDE, JOINT, Layout
 from tcbi_sim.engine import SimulatedRollouts
 
+NAMED = 3  # rollouts that a sentence names
 REPLICATES, RESIDUAL = "replicates", "residual"  # where a noise floor comes from
 
 
@@ -54,8 +55,10 @@ class Scorer:
         self.low, self.high = np.full_like(predicted, np.nan), np.full_like(predicted, np.nan)
         self.kept = replay.layout.kept(predicted.shape[1]) & np.isfinite(replay.measured)
         self.score = np.full_like(predicted, np.nan)
+        self.lost = diverged(replay.layout, replay.measured, predicted)
+        self.failed: dict[int, np.ndarray] = {}  # replicate set -> (N,) bool, particles that diverged in it
         self.observed = task.measured(replay)
-        self.floors = task.floors(self.observed, mean, replay.replicates)
+        self.floors = task.floors(replay, self.observed, mean)
         self.inside = {name: np.full(self.observed[name].shape, np.nan) for name in self.floors}
         self.bands = {name: np.full((2, *self.observed[name].shape), np.nan) for name in self.floors}
         self.task_score = {name: np.full(self.observed[name].shape, np.nan) for name in self.floors}
@@ -63,10 +66,10 @@ class Scorer:
     def take(self, sets: Sequence[int], rollouts: SimulatedRollouts) -> None:
         """Simulations (N, len(sets)) of some replicate sets."""
         channels = self.replay.channels(rollouts)
-        alive = np.isfinite(channels).all(axis=(2, 3))
         for s, number in enumerate(sets):
             members = list(self.replay.replicates[number].members)
-            draws = channels[alive[:, s], s]
+            self.failed[number] = rollouts.diverged[:, s]
+            draws = channels[~rollouts.diverged[:, s], s]
             if not len(draws):
                 continue
             self.low[members], self.high[members] = predictive_band(draws, self.floor.values)
@@ -78,18 +81,37 @@ class Scorer:
             self._take_task(name, values[name], owners)
 
     def _take_task(self, name: str, values: np.ndarray, owners: np.ndarray) -> None:
-        sigma, width = self.floors[name].value, values.shape[-1]
+        sigma = self.floors[name].value
         for i, r in enumerate(owners):
             draws = values[:, i]
             draws = draws[~np.isnan(draws).all(axis=-1)]
             if not len(draws) or not np.isfinite(sigma):
                 continue
-            seen = self.observed[name][r, :width]
+            seen = self.observed[name][r]
             low, high = predictive_band(draws, sigma)
-            self.bands[name][:, r, :width] = low, high
+            self.bands[name][:, r] = low, high
             told = np.isfinite(seen) & np.isfinite(low)
-            self.inside[name][r, :width] = np.where(told, (seen >= low) & (seen <= high), np.nan)
-            self.task_score[name][r, :width] = crps(seen, draws, sigma)
+            self.inside[name][r] = np.where(told, (seen >= low) & (seen <= high), np.nan)
+            self.task_score[name][r] = crps(seen, draws, sigma)
+
+    def divergences(self) -> list[str]:
+        """A sentence on the predictions at the mean that diverged, and one on the particles."""
+        names = [m.rollout_id for m in self.replay.measurements]
+        found = []
+        if self.lost.any():
+            found.append(
+                "The simulation at the model's mean parameters diverged in "
+                f"{_of(np.flatnonzero(self.lost), names)}: the error counts as infinite there, and nothing that is "
+                "told of places and moments comes from there."
+            )
+        failed = np.array([self.failed[s] for s in sorted(self.failed)])  # (S, N)
+        if failed.any() and not (failed.shape[1] == 1 and self.lost.any()):
+            where = [r for s in np.flatnonzero(failed.any(axis=1)) for r in self.replay.replicates[s].members]
+            found.append(
+                f"{failed.any(axis=0).sum()} of {failed.shape[1]} particles diverged in {_of(sorted(where), names)}: "
+                "the bands, their coverage and the CRPS leave them out there, and look better than they are."
+            )
+        return found
 
     def traces(self, name: str) -> Traces | None:
         """A task signal over time; None where it was not measured or cannot be predicted."""
@@ -100,7 +122,7 @@ class Scorer:
     def channel_errors(self) -> tuple[SignalError, ...]:
         """The error of every channel that was measured."""
         layout, floor = self.replay.layout, self.floor
-        ratio = ratios(layout, self.replay.measured - self.predicted, floor.values)
+        ratio = ratios(layout, self.replay.measured, self.predicted, floor.values)
         kept = self.kept & np.isfinite(self.low)
         inside = kept & (self.replay.measured >= self.low) & (self.replay.measured <= self.high)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -111,7 +133,7 @@ class Scorer:
                 float(coverage[i]), _mean(self.score[..., i]), _source(floor.replicated(i)),
             )
             for i, c in enumerate(layout.channels)
-            if np.isfinite(ratio[i])
+            if not np.isnan(ratio[i])
         )  # fmt: skip
 
     def task_errors(self, signals: bool) -> tuple[SignalError, ...]:
@@ -119,7 +141,8 @@ class Scorer:
         errors = []
         for name, floor in self.floors.items():
             squares = (self.observed[name] - self.mean[name]) ** 2
-            if (name in task.SIGNALS) != signals or not np.isfinite(squares).any():
+            squares[self.lost[:, None] & np.isfinite(self.observed[name])] = np.inf
+            if (name in task.SIGNALS) != signals or np.isnan(squares).all():
                 continue
             error, sigma = float(np.sqrt(np.nanmean(squares))), floor.value
             coverage, score = _mean(self.inside[name]), _mean(self.task_score[name])
@@ -131,32 +154,51 @@ class Scorer:
         return tuple(errors)
 
 
-def ratios(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """(C,) root mean square error of each channel over its noise floor; NaN where nothing was measured."""
-    kept = layout.kept(residual.shape[1]) & np.isfinite(residual)
+def diverged(layout: Layout, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """(R,) bool: rollouts whose joints were measured, but not predicted; a rig may lack the other sensors."""
+    joints = layout.where(JOINT)
+    return (np.isfinite(measured) & ~np.isfinite(predicted))[..., joints].any(axis=(1, 2))
+
+
+def ratios(layout: Layout, measured: np.ndarray, predicted: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """(C,) root mean square error of each channel over its noise floor.
+
+    NaN where nothing was measured or can be predicted; infinite where a rollout's prediction diverged.
+    """
+    residual = measured - predicted
+    residual[diverged(layout, measured, predicted)[:, None, None] & np.isfinite(measured)] = np.inf
+    kept = layout.kept(residual.shape[1]) & ~np.isnan(residual)
     count = kept.sum(axis=(0, 1))
-    squares = np.where(kept, np.nan_to_num(residual) ** 2, 0.0).sum(axis=(0, 1))
+    squares = np.where(kept, residual**2, 0.0).sum(axis=(0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.sqrt(squares / count) / floor
 
 
-def error_over_floor(layout: Layout, residual: np.ndarray, floor: np.ndarray) -> float:
+def error_over_floor(layout: Layout, measured: np.ndarray, predicted: np.ndarray, floor: np.ndarray) -> float:
     """The one figure for a model: root mean square, over joints and attitude, of error over noise floor.
 
-    1 means that the model predicts the robot as well as the robot repeats itself.
+    1 means that the model predicts the robot as well as the robot repeats itself. A model that diverges in a rollout
+    has an infinite error, else it would be judged by the easier ones alone.
 
     Args:
       layout: the channels.
-      residual: (R, T, C) measured less predicted.
+      measured: (R, T, C), NaN where missing, which is left out.
+      predicted: (R, T, C), NaN where diverged.
       floor: (C,).
     """
-    return float(np.sqrt(np.nanmean(ratios(layout, residual, floor)[layout.where(JOINT, ATTITUDE)] ** 2)))
+    return float(np.sqrt(np.nanmean(ratios(layout, measured, predicted, floor)[layout.where(JOINT, ATTITUDE)] ** 2)))
 
 
 def _mean(values: np.ndarray) -> float:
     """Of what is there; NaN of nothing."""
     there = values[np.isfinite(values)]
     return float(there.mean()) if len(there) else float("nan")
+
+
+def _of(which: Sequence[int] | np.ndarray, names: Sequence[str]) -> str:
+    """Rollouts in words: how many of how many, and the first ones by name."""
+    more = f" and {len(which) - NAMED} more" if len(which) > NAMED else ""
+    return f"{len(which)} of {len(names)} rollouts ({', '.join(names[r] for r in which[:NAMED])}{more})"
 
 
 def _source(repeated: bool) -> str:

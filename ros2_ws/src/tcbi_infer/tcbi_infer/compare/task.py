@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S
-from tcbi_infer.compare.noise import from_fast_changes
+from tcbi_infer.compare.noise import from_fast_changes, scatter
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
 from tcbi_policy.errors import RewardError
@@ -50,14 +50,14 @@ def measured(replay: Replay) -> Values:
         if "distance_end" not in values and np.isfinite(m.distance) and compared(replay)[r, -1]:
             values["distance_end"] = np.array([m.distance])  # the operator's entry
         each.append(values)
-    return _stacked(each)
+    return _stacked(replay, each)
 
 
 def predicted(replay: Replay, rollouts: SimulatedRollouts, sets: Sequence[int]) -> tuple[Values, np.ndarray]:
     """What simulations of some replicate sets say.
 
     Returns:
-      name -> (N, R', K), and the (R',) numbers of the rollouts: the members of these sets.
+      name -> (N, R', K), K as in `measured`, and the (R',) numbers of the rollouts: the members of these sets.
     """
     each, owners = [], []
     length = len(replay.time)
@@ -71,7 +71,7 @@ def predicted(replay: Replay, rollouts: SimulatedRollouts, sets: Sequence[int]) 
             values = _values(replay, r, replay.commands[number], *arrays)
             each.append({k: np.where(rollouts.diverged[:, s, None], np.nan, v) for k, v in values.items()})
             owners.append(r)
-    return _stacked(each), np.array(owners)
+    return _stacked(replay, each), np.array(owners)
 
 
 def compared(replay: Replay) -> np.ndarray:
@@ -128,16 +128,16 @@ def _rewards(
     return np.where(ticks[1:] < time[-1] + 0.5 * CONTROL_PERIOD_S, reward, np.nan)
 
 
-def _stacked(each: Sequence[Values]) -> Values:
-    """One array for each name, rollouts second to last, shorter ones filled up with NaN."""
+def _stacked(replay: Replay, each: Sequence[Values]) -> Values:
+    """One array for each name, rollouts second to last, filled up with NaN to one width for the whole replay."""
+    width = {DISTANCE: len(replay.time), REWARD: max(len(c.time) for c in replay.commands)}
     names = dict.fromkeys(name for values in each for name in values)
     result = {}
     for name in names:
         first = next(v[name] for v in each if name in v)
-        longest = max(v[name].shape[-1] for v in each if name in v)
         rows = []
         for values in each:
-            row = np.full((*first.shape[:-1], longest), np.nan)
+            row = np.full((*first.shape[:-1], width.get(name, 1)), np.nan)
             if name in values:
                 row[..., : values[name].shape[-1]] = values[name]
             rows.append(row)
@@ -145,33 +145,42 @@ def _stacked(each: Sequence[Values]) -> Values:
     return result
 
 
-def floors(observed: Values, mean: Values, replicates: Sequence[Replicates]) -> dict[str, TaskFloor]:
+def floors(replay: Replay, observed: Values, mean: Values) -> dict[str, TaskFloor]:
     """The noise floor of each task signal and statistic.
 
     Args:
+      replay: the rollouts.
       observed: name -> (R, K).
       mean: name -> (R, K) predicted.
-      replicates: which of the R rollouts repeat each other.
     """
     return {
-        name: _floor(values, values - mean[name], replicates, LEAST.get(name, LEAST_SHARE))
+        name: _floor(
+            values,
+            values - mean[name],
+            replay.replicates,
+            LEAST.get(name, LEAST_SHARE),
+            replay.readings if name == DISTANCE else None,
+        )
         for name, values in observed.items()
         if name in mean
     }
 
 
-def _floor(values: np.ndarray, residual: np.ndarray, replicates: Sequence[Replicates], least: float) -> TaskFloor:
+def _floor(
+    values: np.ndarray,
+    residual: np.ndarray,
+    replicates: Sequence[Replicates],
+    least: float,
+    readings: np.ndarray | None,
+) -> TaskFloor:
     squares, freedom = 0.0, 0
     for group in replicates:
-        repeats = values[list(group.members)]
-        full = np.isfinite(repeats).all(axis=0)
-        if len(repeats) > 1 and full.any():
-            squares += float(np.sum((repeats - repeats.mean(axis=0))[:, full] ** 2))
-            freedom += (len(repeats) - 1) * int(full.sum())
+        square, free = scatter(values[list(group.members)])
+        squares, freedom = squares + float(square.sum()), freedom + int(free.sum())
     if freedom:
         return TaskFloor(max(float(np.sqrt(squares / freedom)), least), True)
     if values.shape[-1] > 1:
-        return TaskFloor(max(float(from_fast_changes(residual[..., None])[0]), least), False)
+        return TaskFloor(max(float(from_fast_changes(residual[..., None], readings)[0]), least), False)
     single = residual[np.isfinite(residual)]
     if len(single) < FEWEST_ROLLOUTS:
         return TaskFloor(float("nan"), False)

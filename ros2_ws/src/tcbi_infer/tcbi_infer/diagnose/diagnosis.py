@@ -14,7 +14,7 @@ import numpy as np
 from tcbi_contract.wording import counted, with_unit
 from tcbi_infer.compare.common_lag import LATENCIES, common_lag, without_latency
 from tcbi_infer.compare.guards import guard
-from tcbi_infer.compare.noise import NoiseFloor, noise_floor
+from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
 from tcbi_infer.diagnose import excitation
@@ -39,7 +39,7 @@ from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.screen import Directions, Screen, simulate_directions
-from tcbi_infer.diagnose.search import Progress, Search, refined
+from tcbi_infer.diagnose.search import Fits, Progress, Search, refined
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.diagnose.verdict import MOSTLY, Ruling, accept, better_misfit, ranked, rule
 from tcbi_sim.effect import EffectUse
@@ -50,6 +50,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
+BETTER = 3.0  # nats: by so much must the base model's fit improve from a candidate's parameters, to begin again there
 
 
 def diagnose(
@@ -103,6 +104,26 @@ def find_candidates(model: Model, wanted: Sequence[str]) -> list[str]:
     return [u.key for u in every if u.key in wanted or u.effect.name in wanted]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Found:
+    """What a search around one fit of the base model brought.
+
+    Attributes:
+      coarse, base: the base model's fit with coarse and with fine steps.
+      before: that, judged; `after` each candidate, by its number.
+      search: None where no candidate shows at all.
+    """
+
+    coarse: Fit
+    base: Fit
+    judge: Judge
+    before: Judged
+    directions: Directions
+    search: Search | None = None
+    fits: Fits = dataclasses.field(default_factory=dict)
+    after: dict[int, Judged] = dataclasses.field(default_factory=dict)
+
+
 class _Run:
     """One diagnosis; each method is a stage."""
 
@@ -116,7 +137,7 @@ class _Run:
         show: Sequence[str],
     ) -> None:
         self.began, self.show = time.perf_counter(), show
-        self.model, self.settings, self.progress = model, settings, progress
+        self.model, self.settings, self.progress = model, settings, _only_forward(progress)
         self.measurements = measurements
         self.replay = Replay.of(model, measurements)
         self.split: Split = split(self.replay.replicates, settings.seed, settings.sealed_share)
@@ -128,11 +149,19 @@ class _Run:
     def _floor(self, model: Model) -> NoiseFloor:
         predicted = self.replay.predict(model, model.mean()[None], timestep=self.settings.coarse)
         residual = self.replay.measured - self.replay.by_rollout(predicted[0])
-        return noise_floor(self.replay.layout, self.replay.measured, residual, self.replay.replicates)
+        return self.replay.noise_floor(residual)
 
     def go(self) -> Diagnosis:
         """All stages in order."""
         coarse, nuisance = self.fit_base()
+        found = self._search(coarse, nuisance)
+        better = self._better_base(found, nuisance)
+        if better is not None:
+            found = self._search(better, nuisance)
+        return self._rule(found, nuisance)
+
+    def _search(self, coarse: Fit, nuisance: Nuisance) -> "_Found":
+        """Screen the candidates around the base model's fit, and fit those with hope."""
         # what a coarse time step gets wrong must not look like an effect
         base = refined(self.problem, coarse, nuisance, self.sets, self.settings)
         self.progress("screening effects", 0.25)
@@ -142,7 +171,7 @@ class _Run:
         judge = Judge(self.model, self.problem, self.split, self.floor, nuisance, self.settings.timestep)
         before = judge.judge(base)
         if not directions.uses:
-            return self._conclude(judge, before, self._drift(coarse, base), [], {}, Null.of_no_search(), directions)
+            return _Found(coarse, base, judge, before, directions)
         screen = Screen(self.problem, base, nuisance, directions, self.sets)
         data = screen.targets(base.residual[None])
         gains = screen.held_out(data)[:, :, 0]
@@ -152,32 +181,48 @@ class _Run:
         fits = search.fit(search.best_by_screening(), (0.55, 0.7))
         fits |= search.fit(search.rivals(fits), (0.7, 0.75))
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
-        least = min(e.error for e in (before, *after.values()))
-        if least > WELL_PREDICTED and before.error - least < MOSTLY * (before.error - 1.0):
-            others = search.fit(search.hidden(fits), (0.8, 0.85))
-            fits |= others
-            after |= {u: judge.judge(fine) for u, (_, fine) in others.items()}
+        error = judge.held_out_error(before)
+        least = min([error, *(judge.held_out_error(e) for e in after.values())])
+        if least > WELL_PREDICTED and error - least < MOSTLY * (error - 1.0):
+            further = search.fit(search.hidden(fits), (0.8, 0.85))
+            fits |= further
+            after |= {u: judge.judge(fine) for u, (_, fine) in further.items()}
+        return _Found(coarse, base, judge, before, directions, search, fits, after)
+
+    def _better_base(self, found: "_Found", nuisance: Nuisance) -> Fit | None:
+        """The base model's fit from a candidate's base parameters, where that is better: else the candidate would be
+        credited with a valley that the base model was never shown."""
+        if not found.fits:
+            return None
+        self.progress("fitting the base model again", 0.85)
+        starts = np.array([rough.unit[: len(found.base.unit)] for rough, _ in found.fits.values()])
+        fit = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse).run(starts, steps=CLOSE_STEPS)
+        return fit if found.coarse.total - fit.total > BETTER else None
+
+    def _rule(self, found: "_Found", nuisance: Nuisance) -> Diagnosis:
+        """Hold the candidates' gains against those of a search where nothing is missing, and conclude."""
+        judge, before, after, directions = found.judge, found.before, found.after, found.directions
+        drift, search = self._drift(found.coarse, found.base), found.search
+        if search is None:
+            return self._conclude(judge, before, drift, [], {}, Null.of_no_search(), directions)
         self.progress("simulating nothing missing", 0.85)
-        leftover = min([base, *[fine for _, fine in fits.values()]], key=lambda f: f.total).residual
-        null = simulate_null(
-            self.problem, screen, nuisance, leftover, self.sets, np.random.default_rng(self.settings.seed)
-        )
-        alike = search.alike(list(fits))
+        leftover = min([found.base, *[fine for _, fine in found.fits.values()]], key=lambda f: f.total).residual
+        rng = np.random.default_rng(self.settings.seed)
+        null = simulate_null(self.problem, search.screen, nuisance, leftover, self.sets, rng)
+        alike = search.alike(list(found.fits))
         evidence = [
-            screened(use, gains[:, u], screen.sizes, before.error)
+            screened(use, search.gains[:, u], search.screen.sizes, before.error)
             for u, use in enumerate(directions.uses)
-            if u not in fits
+            if u not in found.fits
         ]
-        for u, (rough, fine) in fits.items():
-            use = directions.uses[u]
-            evidence.append(judge.evidence(use, after[u], before, self._drift(rough, fine)))
+        for u, (rough, fine) in found.fits.items():
+            evidence.append(judge.evidence(directions.uses[u], after[u], before, self._drift(rough, fine)))
         judged = []
         for e in evidence:
             accepted, reason = accept(e, null.threshold, judge.unfitted)
             judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
         background = Background.of(null, min(e.error for e in (before, *after.values())), leftover)
-        detectable = detectable_sizes(self.problem, screen, background)
-        drift = self._drift(coarse, base)
+        detectable = detectable_sizes(self.problem, search.screen, background)
         named = {directions.uses[u]: e for u, e in after.items()}
         return self._conclude(judge, before, drift, ranked(judged), named, null, directions, detectable)
 
@@ -314,8 +359,12 @@ class _Run:
         if kinds < 2:
             claims = ["Nothing was held out: the errors shown are those on the motion of the fit itself."]
         else:
-            stayed = f"; {counted(len(sealed), 'rollout')} stayed sealed until the end" if sealed else ""
-            claims = [f"{kinds} kinds of motion were held out in turn{stayed}."]
+            claims = [f"{kinds} kinds of motion were held out in turn."]
+            if sealed:
+                claims.append(
+                    f"{counted(len(sealed), 'rollout')} stayed sealed: no fit and no search saw them. The errors shown "
+                    "are theirs, and an effect that does not lower them is refused."
+                )
         if not sealed and kinds >= 2:
             why = "Too few kinds of motion to seal any" if self.settings.sealed_share else "A quick look seals none"
             claims.append(f"{why}: the errors shown are cross-validated.")
@@ -323,6 +372,18 @@ class _Run:
         if not self.floor.from_replicates:
             claims.append(self.floor.statement)
         return claims
+
+
+def _only_forward(progress: Progress) -> Progress:
+    """The same, but the share never falls: a search that begins again has done what it did."""
+    most = 0.0
+
+    def told(stage: str, share: float) -> None:
+        nonlocal most
+        most = max(most, share)
+        progress(stage, most)
+
+    return told
 
 
 def _bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:

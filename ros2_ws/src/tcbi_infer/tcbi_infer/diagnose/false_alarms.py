@@ -29,8 +29,9 @@ def false_alarms(null: Null) -> FalseAlarms:
         f"False alarms: in {passed} of {count} simulated data sets of this robot with nothing missing the whole search "
         f"passed the threshold (that of the other half of them, about {null.threshold:.1f} standard errors), "
         f"{_percent(rate)} (90 % interval "
-        f"{_percent(low)} to {_percent(high)}). What else is required of an effect can only lower that; what these "
-        "simulations do not hold may raise it.",
+        f"{_percent(low)} to {_percent(high)}). What else is required of an effect can only lower how often one is "
+        "named; what these simulations do not hold may raise it. That something may be missing, or is not in the "
+        "library, rests on limits of the error, whose false alarms this does not count.",
         count,
         rate,
         low,

@@ -90,13 +90,11 @@ class Judge:
         found: dict[str, float] = {}
         for number, fold in enumerate(fold_indices(self.problem, self.sets), 1):
             sets = self.sets[fold]
-            counts = self.problem.weight[sets] > 0
-            if not counts.any():
+            if not self.problem.weight[sets].any():
                 continue
             first = self.replay.measurements[self.replay.replicates[sets[0]].members[0]]
             name = f"{first.rollout_id} ({first.policy_id or f'motion {number}'})"
-            whole = np.isfinite(predicted[fold][counts]).all()
-            found[name] = self._error(predicted[fold], list(sets)) if whole else float("inf")
+            found[name] = self._error(predicted[fold], list(sets))
         return found
 
     def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
@@ -107,12 +105,10 @@ class Judge:
         return self._error(self.problem.observed[self.sets] - held.residual, list(self.sets))
 
     def _error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
-        residual = [
-            self.replay.measured[m] - predicted[i]
-            for i, s in enumerate(sets)
-            for m in self.replay.replicates[s].members
-        ]
-        return error_over_floor(self.replay.layout, np.array(residual), self.floor.values)
+        """Of predictions (sets, T, C); infinite where one diverged."""
+        pairs = [(m, i) for i, s in enumerate(sets) for m in self.replay.replicates[s].members]
+        members, owners = map(list, zip(*pairs, strict=True))
+        return error_over_floor(self.replay.layout, self.replay.measured[members], predicted[owners], self.floor.values)
 
     def evidence(self, use: str, after: Judged, before: Judged, drift: np.ndarray) -> Evidence:
         """What the rollouts say of a use that was fitted; with "" of the base model itself.
@@ -123,7 +119,9 @@ class Judge:
           before: the base model.
           drift: (P,) how far the optimum may still move as the time step goes to zero, in ranges.
         """
-        fit, gains = after.fit, after.held.score - before.held.score
+        fit = after.fit
+        with np.errstate(invalid="ignore"):  # where both diverged
+            gains = after.held.score - before.held.score
         gain, se = paired.total(gains, self.sizes)
         low, high, covariance = intervals(fit, after.held, drift, after.error)
         lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.compare.conditions import SLOW
+from tcbi_infer.compare.conditions import SLOW, torques
 from tcbi_infer.compare.signals import DEGREE, JOINT, reference
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import Leftover, Variable
@@ -27,7 +27,7 @@ KNOTS, FINE_KNOTS = 8, 48  # of a law; of a law of the position, which may repea
 PENALTIES = (1.0, 5.0, 25.0, 125.0, 3000.0)  # 1: a law may be as large as the residual; the last allows next to nothing
 OFFSET, TEETH = "a constant offset", "teeth"
 COMMAND, POSITION = "the commanded position", "the predicted position"
-LOAD = "the load (command less prediction)"
+LOAD, TORQUE = "the load (command less prediction)", "the commanded torque"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,8 +170,8 @@ def _design(problem: Problem, residual: np.ndarray, sets: np.ndarray) -> _Design
         weighted = (share * weight[s][..., None] * each).transpose(1, 2, 0)
         gram[s] = weighted @ each.transpose(1, 0, 2)
         slope[s] = np.einsum("jkt,tj->jk", weighted, scaled[s] / scale)
-    repeats = np.array([len(problem.replay.replicates[s].members) for s in sets])
-    noise = weight.sum(axis=(1, 2)) / repeats
+    repeats = np.maximum(problem.replay.counts()[sets][..., index], 1)
+    noise = (weight / repeats).sum(axis=(1, 2))
     # the sums of gains count independent samples, those of squares all of them
     return _Design(columns, gram, slope, scale / np.sqrt(share), (scaled**2).sum(axis=(1, 2)), noise)
 
@@ -188,11 +188,14 @@ def _laws(problem: Problem, predicted: np.ndarray, sets: np.ndarray, joints: lis
     replay = problem.replay
     firsts = [replay.measurements[replay.replicates[s].members[0]] for s in sets]
     time, shape = replay.time, predicted.shape
-    asked = np.stack([reference(m, time)[:, joints] for m in firsts]) * DEGREE
     velocity = np.gradient(predicted, time, axis=1)
-    smooth = {COMMAND: asked, POSITION: predicted, "the predicted velocity": velocity}
+    smooth = {POSITION: predicted, "the predicted velocity": velocity}
     if load_rig(replay.rig).kind == "position":
-        smooth |= {LOAD: asked - predicted, "the commanded speed": np.gradient(asked, time, axis=1)}
+        asked = np.stack([reference(m, time)[:, joints] for m in firsts]) * DEGREE
+        smooth = {COMMAND: asked, **smooth, LOAD: asked - predicted}
+        smooth["the commanded speed"] = np.gradient(asked, time, axis=1)
+    else:
+        smooth[TORQUE] = np.stack([torques(m, time)[:, joints] for m in firsts])
     smooth["the time since start"] = np.broadcast_to(time[None, :, None], shape)
     laws = {OFFSET: np.ones((*shape, 1))}
     for name, values in smooth.items():

@@ -50,25 +50,32 @@ def threshold_of(maxima: np.ndarray, kinds: int) -> float:
 def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
     """(D, S, T, C) noise of the sets' means, resampled from differences between replicates where there are any."""
     replay = problem.replay
-    library = []
-    for s in sets:
-        members = list(replay.replicates[s].members)
-        if len(members) > 1:
-            values = replay.measured[members]
-            # one replicate against the mean, scaled to the variance of the mean
-            library.append(np.nan_to_num(values[0] - values.mean(axis=0)) / np.sqrt(len(members) - 1))
+    recordings = [replay.measured[list(replay.replicates[s].members)] for s in sets]
+    differences = [_difference(values) for values in recordings if len(values) > 1]
+    pool = np.array([d for d in differences if np.isfinite(d).any()])
     shape = (draws, len(sets), *problem.observed.shape[1:])
-    if not library:
-        return rng.normal(size=shape) * problem.floor * (problem.weight[sets] > 0)
-    pool = np.array(library)
+    counted = (problem.weight[sets] > 0) / np.sqrt(np.maximum(replay.counts()[sets], 1))
+    white = rng.normal(size=shape) * problem.floor
+    if not len(pool):
+        return white * counted
     picked = rng.integers(len(pool), size=shape[:2])
     shifts = rng.integers(shape[2], size=shape[:2])
     signs = rng.choice([-1.0, 1.0], size=shape[:2])
-    noise = np.empty(shape)
     for d in range(draws):
         for s in range(len(sets)):
-            noise[d, s] = signs[d, s] * np.roll(pool[picked[d, s]], shifts[d, s], axis=0)
-    return noise * (problem.weight[sets] > 0)
+            drawn = signs[d, s] * np.roll(pool[picked[d, s]], shifts[d, s], axis=0)
+            white[d, s] = np.where(np.isfinite(drawn), drawn, white[d, s])
+    return white * counted
+
+
+def _difference(recordings: np.ndarray) -> np.ndarray:
+    """(T, C) the first of (R, T, C) repeats against their mean, with the variance of one recording; NaN where fewer
+    than two of them measured."""
+    there = np.isfinite(recordings)
+    count = there.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(there, recordings, 0.0).sum(axis=0) / count
+        return np.where(count > 1, (recordings[0] - mean) * np.sqrt(count / (count - 1)), np.nan)
 
 
 def simulate_null(

@@ -20,8 +20,10 @@ def cut(count: int) -> int:
 def total(gains: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The sum of gains and its standard error, NaN of a single kind.
 
+    A kind in which the candidate diverged is no strange kind to trim: the sum is then -inf, its standard error NaN.
+
     Args:
-      gains: (F, ...) nats.
+      gains: (F, ...) nats; -inf or NaN where the candidate diverged, inf where only the model before it did.
       sizes: (F,) replicate sets of each kind: of one with half as many, half the gain is expected.
     """
     count = len(gains)
@@ -29,16 +31,21 @@ def total(gains: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     rates = np.sort(gains / share.reshape(-1, *[1] * (gains.ndim - 1)), axis=0)
     ends = cut(count)
     kept = rates[ends : count - ends]
+    told = (gains > -np.inf).all(axis=0) & np.isfinite(kept).all(axis=0)
     if count < 2:
-        return gains.sum(axis=0), np.full(gains.shape[1:], np.nan)
+        return np.where(told, gains.sum(axis=0), -np.inf), np.full(gains.shape[1:], np.nan)
+    kept = np.where(told, kept, 0.0)
     spread = np.std(np.clip(rates, kept[0], kept[-1]), axis=0, ddof=1)
-    return count * kept.mean(axis=0), spread * np.sqrt((share**2).sum()) * count / len(kept)
+    se = spread * np.sqrt((share**2).sum()) * count / len(kept)
+    return np.where(told, count * kept.mean(axis=0), -np.inf), np.where(told, se, np.nan)
 
 
 def statistic(gains: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """(...) total gain over its standard error; 0 of a single kind of motion."""
+    """(...) total gain over its standard error; 0 of a single kind of motion, -inf where the candidate diverged."""
     gain, se = total(gains, sizes)
-    return gain / np.sqrt(np.nan_to_num(se, nan=np.inf) ** 2 + (len(gains) * LEAST_SE) ** 2)
+    with np.errstate(invalid="ignore"):
+        found = gain / np.sqrt(np.nan_to_num(se, nan=np.inf) ** 2 + (len(gains) * LEAST_SE) ** 2)
+    return np.where(np.isneginf(gain), gain, found)
 
 
 def limit(count: int, level: float) -> float:

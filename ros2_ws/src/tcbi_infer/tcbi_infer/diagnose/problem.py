@@ -41,7 +41,7 @@ class Problem:
     @staticmethod
     def of(replay: Replay, floor: np.ndarray) -> "Problem":
         """The problem before anything is known of its autocorrelation."""
-        observed, _ = replay.means()
+        observed = replay.means()
         names = list(dict.fromkeys(c.group.name for c in replay.layout.channels))
         group = np.array([names.index(c.group.name) for c in replay.layout.channels])
         fitted = np.array([c.group.fitted for c in replay.layout.channels])

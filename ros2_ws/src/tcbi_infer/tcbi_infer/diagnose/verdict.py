@@ -183,6 +183,8 @@ def rule(
 def _explained(e: Evidence, unfitted: float = np.inf) -> float:
     """The share of the error beyond the floor that a candidate explains; 0 where it was not fitted."""
     before = min(e.error_before, unfitted)
+    if not np.isfinite(before):
+        return float(np.isfinite(e.error_after))
     return (before - e.error_after) / max(before - 1.0, 1e-6) if e.refined else 0.0
 
 

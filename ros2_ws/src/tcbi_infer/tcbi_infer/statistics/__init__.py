@@ -5,14 +5,17 @@ names = select(("reward", "attitude"), arrays)     # what these rollouts have, a
 samples = library()["attitude"].compute(arrays)    # (N, S, C, K)
 """
 
+import contextlib
 import importlib
 import pkgutil
+from collections.abc import Iterator
 from functools import cache
 
 from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics.base import RolloutArrays, Statistic, from_measurements, padded_commands
 from tcbi_sim.errors import UnknownNameError
+from tcbi_sim.user_file import told
 
 PAPER = ("reward", "attitude", "contact_ratio")
 CALIBRATED = (*PAPER, "joint_tracking", "early_response", "body_rates")
@@ -22,6 +25,7 @@ __all__ = [
     "PAPER",
     "RolloutArrays",
     "Statistic",
+    "failing",
     "from_measurements",
     "library",
     "padded_commands",
@@ -48,17 +52,34 @@ def unusable(statistic: Statistic) -> str:
     return f"{calls[0]} is no function" if calls else ""
 
 
+@contextlib.contextmanager
+def failing(statistic: Statistic) -> Iterator[None]:
+    """Around a call of a statistic, which may be the user's code.
+
+    Raises:
+      InferError: whatever it raised, with the statistic's name.
+    """
+    try:
+        yield
+    except Exception as e:
+        file = getattr(getattr(statistic.compute, "__code__", None), "co_filename", statistic.name)
+        raise InferError(f"statistic {statistic.name} fails: {told(e, file)}") from e
+
+
 def select(names: tuple[str, ...], arrays: RolloutArrays) -> tuple[tuple[Statistic, ...], tuple[str, ...]]:
     """The named statistics that these rollouts allow, and a line for each that they do not.
 
     Raises:
       UnknownNameError: there is no such statistic.
-      InferError: nothing is left.
+      InferError: nothing is left, or a statistic fails.
     """
     for name in names:
         if name not in library():
             raise UnknownNameError("statistic", name, sorted(library()))
-    reasons = {name: library()[name].missing(arrays) for name in names}
+    reasons = {}
+    for name in names:
+        with failing(library()[name]):
+            reasons[name] = library()[name].missing(arrays)
     kept = tuple(library()[name] for name in names if not reasons[name])
     left_out = tuple(f"statistic {name} left out: the rollouts have {why}" for name, why in reasons.items() if why)
     if not kept:

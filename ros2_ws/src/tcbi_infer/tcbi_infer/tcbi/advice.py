@@ -17,7 +17,7 @@ import numpy as np
 
 from tcbi_contract.names import SLOPE_LIMIT
 from tcbi_infer.diagnose.motions import STILL, Motion, gait_motion, ready_motions
-from tcbi_infer.statistics import RolloutArrays, Statistic, from_measurements
+from tcbi_infer.statistics import RolloutArrays, Statistic, failing, from_measurements
 from tcbi_infer.tcbi.features import samples
 from tcbi_infer.tcbi.prior import Prior
 from tcbi_infer.tcbi.problem import Problem, with_noise
@@ -168,8 +168,9 @@ def statistics_of(
     arrays = with_noise(from_measurements(recorded, recorded[0].time), problem.noise, [rng])
     columns = []
     for statistic in problem.statistics:
-        if statistic.missing(arrays):
-            continue
+        with failing(statistic):
+            if statistic.missing(arrays):
+                continue
         values, sd = features(statistic, arrays)[0], noise[statistic.name]
         usable = (sd > 0) & np.isfinite(values).all(axis=0)
         columns.append(values[:, usable] / sd[usable] + rng.standard_normal((len(kept), usable.sum())) / REPEATS**0.5)

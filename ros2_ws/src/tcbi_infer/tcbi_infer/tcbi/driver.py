@@ -8,9 +8,11 @@ bits as one that ran through.
 """
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import math
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -23,10 +25,11 @@ from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.result import Result, estimates, misfits, unfinished
+from tcbi_infer.tcbi.result import Result, estimates, misfits, piled, prior_variances, unfinished
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 from tcbi_sim.engine import SimError
 from tcbi_sim.errors import UnknownNameError
+from tcbi_sim.ray_workers import own_files
 
 LEAST_PARTICLES = 10  # a generation; from fewer no spread can be told
 BOUNDS: dict[str, tuple[float, float]] = {  # of a method's settings; of others: 0 or more, of whole numbers 1 or more
@@ -117,13 +120,14 @@ def _checked(name: str, value: float, default: float) -> float:
 
 
 def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
-    """A name for an inference: the same for the same rollouts, model, method, settings and seed."""
+    """A name for an inference: the same for the same rollouts, model, method, settings, seed and files of one's own."""
     what = {
         "model": problem.model.version,
         "effects": problem.model.effects,
-        "rollouts": sorted(problem.rollout_ids),
+        "rollouts": [_digest(m) for g in problem.groups for m in g.measurements],
+        "own": own_files(),
         "statistics": problem.observed.channels,
-        "closed": problem.closed_loop,
+        "closed": [controller is not None for controller in problem.controllers],
         "timestep": problem.timestep,
         "divergence": problem.divergence_name,
         "bins": [b.bins for b in problem.binnings[:1]],
@@ -134,6 +138,21 @@ def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
     }
     digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
     return f"infer-{method}-{digest[:12]}"
+
+
+def _digest(value: Any) -> str:
+    """Of all that a measurement holds, its arrays to the last bit."""
+    if isinstance(value, np.ndarray):
+        told = f"{value.dtype}{value.shape}".encode() + value.tobytes()
+    elif dataclasses.is_dataclass(value):
+        told = "".join(_digest(getattr(value, field.name)) for field in dataclasses.fields(value)).encode()
+    elif isinstance(value, Mapping):
+        told = "".join(_digest((key, *value[key])) for key in sorted(value)).encode()
+    elif isinstance(value, tuple):
+        told = "".join(map(_digest, value)).encode()
+    else:
+        told = repr(value).encode()
+    return hashlib.sha256(told).hexdigest()
 
 
 @contextlib.contextmanager
@@ -161,6 +180,7 @@ class _Loop:
         self.watch = watch
         self.real, self.statistics = method.observe(problem), method.labels(problem)
         self.dimensions = len(problem.model.names)
+        self.known = None if problem.prior is None else problem.prior.draws()
         self.state, self.history, self.resumed = self._begin()
         self.last = Generation(np.nan, np.nan, np.zeros(len(self.statistics)), {})
         self.begun = time.monotonic()
@@ -211,7 +231,7 @@ class _Loop:
         unit, log_weights = self._posterior()
         weights = normalised(log_weights)
         mean, variance = mean_and_variance(self.problem.model.from_unit(unit), weights)
-        _, unit_variance = mean_and_variance(unit, weights)
+        unit_mean, unit_variance = mean_and_variance(unit, weights)
         self.history.append(
             {
                 "generation": self.state.generation,
@@ -219,7 +239,8 @@ class _Loop:
                 "alpha": self.last.alpha,
                 "mean": mean.tolist(),
                 "variance": variance.tolist(),
-                "variance_ratio": (12 * unit_variance).tolist(),
+                "unit_mean": unit_mean.tolist(),
+                "variance_ratio": (unit_variance / prior_variances(self.dimensions, self.known)).tolist(),
                 "divergence": self.last.divergence.tolist(),
                 "wall_s": wall_s,
                 **self.last.notes,
@@ -256,9 +277,9 @@ class _Loop:
             raise InferError("no particle has any weight: every simulation diverged")
         unit, log_weights = unit[kept], np.log(np.maximum(normalised(log_weights[kept]), 1e-300))
         last = self._last_generation()
-        known = None if problem.prior is None else problem.prior.draws()
         wrong = misfits(model.parameters, unit, log_weights, self.statistics, last)
-        lines = [*wrong, *([] if self.state.converged else unfinished(last))]
+        lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
+        lines += [] if self.state.converged else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):
             lines.append(f"the posterior has {several}; a mean and an interval do not show that, the report does")
         judged = self.method.judges and not wrong
@@ -267,10 +288,10 @@ class _Loop:
         seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
-            estimates(model.parameters, unit, log_weights, self.seed, known, judged),
+            estimates(model.parameters, unit, log_weights, self.seed, self.known, judged),
             float(1 / np.sum(np.exp(2 * log_weights))),
             simulated, seconds, tuple(self.history), bool(self.state.converged), problem.closed_loop,
-            (*problem.warnings, *resumed, *lines), known, not wrong,
+            (*problem.warnings, *resumed, *lines), self.known, not wrong,
         )  # fmt: skip
 
     def _last_generation(self) -> Generation:
@@ -284,6 +305,9 @@ class _Loop:
 
 
 def _replace(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(text)
-    temporary.replace(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        temporary.write_text(text)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -11,8 +11,7 @@ import numpy as np
 
 from tcbi_infer.divergence import Binning, js_binned
 from tcbi_infer.errors import InferError
-from tcbi_infer.statistics import RolloutArrays, Statistic
-from tcbi_sim.user_file import told
+from tcbi_infer.statistics import RolloutArrays, Statistic, failing
 
 
 class Features(NamedTuple):
@@ -42,18 +41,25 @@ class Observed(NamedTuple):
         return np.stack(parts, axis=-1)
 
 
+def channels_of(statistic: Statistic, arrays: RolloutArrays) -> tuple[str, ...]:
+    """Names of a statistic's channels.
+
+    Raises:
+      InferError: the statistic fails.
+    """
+    with failing(statistic):
+        return tuple(statistic.channels(arrays))
+
+
 def samples(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
     """(N, S, C, K) samples, checked.
 
     Raises:
       InferError: the statistic fails, or its shape is not what it promised.
     """
-    try:
-        values = np.asarray(statistic.compute(arrays))
-    except Exception as e:  # it may be the user's code
-        file = getattr(getattr(statistic.compute, "__code__", None), "co_filename", statistic.name)
-        raise InferError(f"statistic {statistic.name} fails: {told(e, file)}") from e
-    expected = (*arrays.count, len(statistic.channels(arrays)))
+    with failing(statistic):
+        values = np.asarray(statistic.compute(arrays), float)
+    expected = (*arrays.count, len(channels_of(statistic, arrays)))
     if values.ndim != 4 or values.shape[:3] != expected:
         raise InferError(f"statistic {statistic.name} gave shape {values.shape}, must be {expected} and its samples")
     return values

@@ -1,4 +1,4 @@
-"""Who acts in the simulation: each rollout's own policy (closed loop), or its recorded commands (open loop)."""
+"""Who acts in a simulated rollout: the policy that ran (closed loop), or the recorded commands (open loop)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,9 @@ from tcbi_sim.measurement import Measurement
 def find_controllers(
     measurements: Sequence[Measurement], loop: str, policies: Path | None
 ) -> tuple[dict[str, Controller], str]:
-    """Policy id -> controller, empty for open loop, and a line that says which and why.
+    """Policy id -> controller of the policies that act, and a line that says which, and why others do not.
+
+    Unless the loop is given, scripted gaits and policies that cannot be loaded are replayed by their commands.
 
     Raises:
       PolicyError: closed loop is asked for, and a policy cannot be loaded.
@@ -20,17 +22,29 @@ def find_controllers(
     ids = sorted({m.policy_id for m in measurements})
     if loop == "open":
         return {}, "open loop: the recorded commands are replayed"
-    if loop == "auto" and all(i.startswith(GAIT_PREFIX) for i in ids):
-        return {}, "open loop: scripted gaits do not react, so the recorded commands are replayed"
+    gaits = [i for i in ids if i.startswith(GAIT_PREFIX)] if loop == "auto" else []
     found: dict[str, Controller] = {}
-    try:
-        for policy_id in ids:
+    faults: list[str] = []
+    for policy_id in ids:
+        if policy_id in gaits:
+            continue
+        try:
             found[policy_id] = _load(policy_id, policies)
-    except PolicyError as e:
-        if loop == "closed":
-            raise PolicyError(f"closed loop: {e}") from e  # the rollouts name it, not the user
-        return {}, f"open loop: the recorded commands are replayed, since a policy cannot be loaded ({e})"
-    return found, f"closed loop: {', '.join(ids)} act on the simulated robot"
+        except PolicyError as e:
+            if loop == "closed":
+                raise PolicyError(f"closed loop: {e}") from e  # the rollouts name it, not the user
+            faults.append(str(e))
+    return found, _said(list(found), gaits, faults)
+
+
+def _said(acting: list[str], gaits: list[str], faults: list[str]) -> str:
+    reasons = ["scripted gaits do not react"] if gaits else []
+    reasons += [f"a policy cannot be loaded ({'; '.join(faults)})"] if faults else []
+    replayed = f"the recorded commands are replayed, since {' and '.join(reasons)}"
+    if not acting:
+        return f"open loop: {replayed}"
+    act = f"closed loop: {', '.join(acting)} act on the simulated robot"
+    return f"{act}; for the other rollouts {replayed}" if reasons else act
 
 
 def _load(policy_id: str, policies: Path | None) -> Controller:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised
 
@@ -77,6 +78,9 @@ def step(
       simulate: (N, P) in [0, 1] -> features, whose `divergence` is that of line 8 (lines 6 to 8).
       by_statistic: (N, C) divergences -> (N, statistics).
       settings: Algorithm 1's inputs.
+
+    Raises:
+      InferError: every simulation diverged, or none has a finite divergence.
     """
     n = settings.particles
     parents = rng.choice(n, size=n, p=state.weights)  # line 5: resample ...
@@ -84,10 +88,12 @@ def step(
     particles = reflected(state.particles[parents] + noise)  # line 5: ... and perturb
     features = simulate(particles)  # line 6: simulate; line 7: estimate distributions
     divergence = by_statistic(features.divergence)  # line 8: Jensen-Shannon divergence
-    discrepancy = np.where(features.valid, divergence.sum(axis=1), np.inf)
+    usable = features.valid & np.isfinite(divergence).all(axis=1)
+    if not usable.any():
+        raise InferError(_unusable(features.valid))
+    divergence = np.where(usable[:, None], divergence, 0.0)
+    discrepancy = np.where(usable, divergence.sum(axis=1), np.inf)
     weights = normalised(-settings.alpha * discrepancy)  # line 9: w_i = exp(-alpha D_i); line 10: normalise
-    if not weights.any():
-        weights = np.full(n, 1 / n)
     ess = effective_sample_size(weights)  # line 11
     mean, _ = mean_and_variance(particles, weights)
     reward = _weighted_reward(features.reward, weights)
@@ -114,6 +120,18 @@ def reflected(unit: np.ndarray) -> np.ndarray:
     """Values folded back into [0, 1] at its ends."""
     folded = np.mod(unit, 2.0)
     return np.where(folded > 1.0, 2.0 - folded, folded)
+
+
+def _unusable(valid: np.ndarray) -> str:
+    if valid.any():
+        return (
+            f"the divergence is not finite for any of {valid.sum()} simulations; "
+            "mend it if it is your own, or take another one"
+        )
+    return (
+        f"all {len(valid)} simulations diverged: the model is unstable over its whole prior; "
+        "narrow the parameters' bounds or lower the time step"
+    )
 
 
 def _weighted_reward(reward: np.ndarray, weights: np.ndarray) -> float:

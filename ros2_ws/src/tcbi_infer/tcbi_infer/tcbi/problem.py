@@ -3,8 +3,8 @@
     problem = Problem.of(model, measurements)
     features = problem.simulate(unit)      # (N, P) in [0, 1] -> Features
 
-Closed loop (each rollout's policy acts on the simulated robot) where every policy can be loaded, else open loop (the
-recorded commands are replayed). Scripted gaits do not react, so their recorded commands are replayed, stamps included.
+Closed loop (the policy acts on the simulated robot) for rollouts of each policy that can be loaded, open loop (the
+recorded commands are replayed, stamps included) for those of others and of scripted gaits, which do not react.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ from tcbi_infer.divergence import BINS, Binning, divergence
 from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
-from tcbi_infer.tcbi.features import Features, Observed, binned, divergences, samples
+from tcbi_infer.tcbi.features import Features, Observed, binned, channels_of, divergences, samples
 from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
 from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noisier, sample_rate, sensor_noise
@@ -32,6 +32,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import multiply
+from tcbi_sim.user_file import told
 from tcbi_sim.workers import chunk_size, present
 
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
@@ -107,11 +108,16 @@ class Problem:
         known, warnings = Prior.of(model) if prior == MODEL else None, [*warnings, *about(model, prior)]
         controllers, said = find_controllers(usable, loop, policies)
         rate = sample_rate(model, usable)
-        groups = grouped(usable, rate, by_policy=bool(controllers))
+        groups = grouped(usable, rate, acting=controllers)
         kept, left_out = _common(statistics, groups)
         parts = [[samples(statistic, g.arrays) for statistic in kept] for g in groups]
         names, owner, pooled = _channels(kept, groups, parts)
         used = [i for i, values in enumerate(pooled) if values.size]
+        if not used:
+            raise InferError(
+                f"no statistic has a finite sample in the real rollouts (tried: {', '.join(s.name for s in kept)}); "
+                "add another one, or record longer rollouts"
+            )
         binnings = tuple(Binning.of(pooled[i], bins) for i in used)
         blocks = blocks_for(len(usable))
         counts = _counts(parts, [g.arrays.count for g in groups], used, list(binnings), blocks)[0]
@@ -223,8 +229,25 @@ def _divergence(problem: Problem, counts: np.ndarray, parts: list[list[np.ndarra
     if problem.divergence_name == "js":  # equal to pooling samples, and the counts are there already
         return divergences(problem.observed.counts, counts)
     pooled = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in _by_channel(parts)]
-    measure = divergence(problem.divergence_name)
-    return np.stack([measure(real, pooled[i]) for real, i in zip(problem.real_samples, used, strict=True)], axis=-1)
+    name = problem.divergence_name
+    return np.stack([_measured(name, real, pooled[i]) for real, i in zip(problem.real_samples, used, strict=True)], -1)
+
+
+def _measured(name: str, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """(N,) divergences of (N, m) samples, inf where the divergence gives NaN: no better than any.
+
+    Raises:
+      InferError: the divergence, which may be the user's, fails or gives another shape.
+    """
+    measure = divergence(name)
+    try:
+        values = np.asarray(measure(real, simulated), float)
+    except Exception as e:
+        file = getattr(getattr(measure, "__code__", None), "co_filename", name)
+        raise InferError(f"divergence {name} fails: {told(e, file)}") from e
+    if values.shape != simulated.shape[:1]:
+        raise InferError(f"divergence {name} gave shape {values.shape}, must be {simulated.shape[:1]}")
+    return np.where(np.isnan(values), np.inf, values)
 
 
 def as_arrays(rollouts: SimulatedRollouts, group: Group, closed: bool) -> RolloutArrays:
@@ -260,7 +283,7 @@ def _distance(rollouts: SimulatedRollouts, real: RolloutArrays, length: int) -> 
 
 
 def with_noise(arrays: RolloutArrays, noise: Noise, rngs: Sequence[np.random.Generator]) -> RolloutArrays:
-    """Simulated readings with the sensors' white noise, each particle from its own generator."""
+    """Simulated readings with the sensors' white noise and encoder steps, each particle from its own generator."""
 
     def noisy(values: np.ndarray | None, sd: float) -> np.ndarray | None:
         if values is None or sd == 0:
@@ -269,6 +292,8 @@ def with_noise(arrays: RolloutArrays, noise: Noise, rngs: Sequence[np.random.Gen
 
     joints = noisy(arrays.joint_position, noise.joint_position)
     assert joints is not None
+    if noise.encoder_step > 0:
+        joints = np.round(joints / noise.encoder_step) * noise.encoder_step
     attitude = arrays.attitude
     if attitude is not None and noise.attitude > 0:
         roll, pitch = noise.attitude * np.stack(
@@ -276,7 +301,10 @@ def with_noise(arrays: RolloutArrays, noise: Noise, rngs: Sequence[np.random.Gen
         )
         attitude = multiply(attitude, quaternion_from_rpy(roll, pitch, np.zeros_like(roll)))
     rates = noisy(arrays.angular_velocity, noise.angular_velocity)
-    return dataclasses.replace(arrays, joint_position=joints, attitude=attitude, angular_velocity=rates)
+    position = noisy(arrays.position, noise.position)
+    return dataclasses.replace(
+        arrays, joint_position=joints, attitude=attitude, angular_velocity=rates, position=position
+    )
 
 
 def _common(names: tuple[str, ...], groups: list[Group]) -> tuple[tuple[Statistic, ...], tuple[str, ...]]:
@@ -295,7 +323,7 @@ def _channels(
     """Names statistic/channel, each one's statistic, and (if samples are given) its finite samples of all groups."""
     names, owner = [], []
     for i, statistic in enumerate(statistics):
-        for channel in statistic.channels(groups[0].arrays):
+        for channel in channels_of(statistic, groups[0].arrays):
             names.append(f"{statistic.name}/{channel}")
             owner.append(i)
     pooled = []

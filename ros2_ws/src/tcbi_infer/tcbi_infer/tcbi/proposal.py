@@ -34,7 +34,7 @@ class Proposal(NamedTuple):
     def drawn(self) -> tuple[int, int, int]:
         """Particles drawn from each part."""
         first = round(self.shares[0] * self.size)
-        second = round(self.shares[1] * self.size)
+        second = min(round(self.shares[1] * self.size), self.size - first) if self.shares[2] else self.size - first
         return first, second, self.size - first - second
 
 

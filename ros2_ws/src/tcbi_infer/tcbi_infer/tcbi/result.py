@@ -1,8 +1,8 @@
 """What an inference found: weighted particles, a table with a verdict per parameter, and what a user must know."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,9 +15,10 @@ FLAT_VARIANCE = 1.0 / 12.0  # of a flat prior on [0, 1]
 IDENTIFIED_BELOW = 0.5  # of the prior's variance, with 95 % confidence
 LEAST_ESS = 10  # effective particles, below which nothing is said about what the data tell
 EDGE = 0.02  # share of the range that counts as a bound
-PILED = 0.5  # share of the posterior at a bound that is worth a warning
+PILED = 0.5  # share of the posterior at a bound that is worth a line
 MISFIT = 4.0  # remaining divergence over noise that is worth a warning
-NEAR, POOR = 0.15, 1.8  # best particles so near a bound, with so much misfit, say that the bound is in the way
+NEAR = 0.15  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
+POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def estimates(
     """
     weights = normalised(log_weights)
     enough = judged and effective_sample_size(weights) >= LEAST_ESS
-    before = np.full(len(parameters), FLAT_VARIANCE) if prior is None else prior.var(axis=0)
+    before = prior_variances(len(parameters), prior)
     _, variance = mean_and_variance(unit, weights)
     high = _variance_bound(unit, weights, seed)
     sds = prior_sds(parameters, prior)
@@ -144,6 +145,11 @@ def estimates(
             )
         )
     return tuple(rows)
+
+
+def prior_variances(count: int, prior: np.ndarray | None = None) -> np.ndarray:
+    """(count,) in [0, 1] before the data: of (N, count) draws, or flat."""
+    return np.full(count, FLAT_VARIANCE) if prior is None else prior.var(axis=0)
 
 
 def prior_sds(parameters: Sequence[Parameter], prior: np.ndarray | None = None) -> list[float]:
@@ -169,19 +175,12 @@ def misfits(
 ) -> list[str]:
     """Signs that the model is wrong, a line each: bounds that exclude the data, statistics that nothing reproduces."""
     ratios = _misfit_ratios(last)
-    best = np.asarray(last.notes.get("best", np.empty((0, len(parameters)))))
-    weights = normalised(log_weights)
-    lines = []
-    for i, p in enumerate(parameters):
-        for end, bound, at in (("low", p.low, unit[:, i]), ("high", p.high, 1 - unit[:, i])):
-            share = weights[at < EDGE].sum()
-            near = best[:, i] if end == "low" else 1 - best[:, i]
-            outside = bool(len(near)) and bool(np.all(near < NEAR)) and max(ratios, default=0.0) > POOR
-            if share > PILED or outside:
-                lines.append(
-                    f"the prior of {p.name} seems to exclude the data: what fits best lies at its {end} end, "
-                    f"{bound:g} {p.unit}, and fits poorly; widen the prior, or an effect is missing"
-                )
+    lines = [
+        f"the prior of {end.parameter.name} seems to exclude the data: what fits best lies at its {end.at}, "
+        "and fits poorly; widen the prior, or an effect is missing"
+        for end in _ends(parameters, unit, log_weights, last)
+        if (end.share > PILED or end.best) and _fits_poorly(last)
+    ]
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
         "the posterior is widened for it, and an effect may be missing (tcbi diagnose)"
@@ -189,6 +188,44 @@ def misfits(
         if ratio > MISFIT
     ]
     return lines
+
+
+def piled(parameters: Sequence[Parameter], unit: np.ndarray, log_weights: np.ndarray, last: Generation) -> list[str]:
+    """A line for each parameter whose posterior piles up at a bound, where nothing says that the model is wrong."""
+    if _fits_poorly(last):
+        return []
+    lines = []
+    for end in _ends(parameters, unit, log_weights, last):
+        if end.share > PILED:
+            absent = "where the effect is absent" if end.null else "which may cut it off; a wider prior would tell"
+            lines.append(f"the posterior of {end.parameter.name} piles up at its {end.at}, {absent}")
+    return lines
+
+
+class _End(NamedTuple):
+    """One end of a parameter's range, and what lies there."""
+
+    parameter: Parameter
+    at: str  # "low end, 0 rad"
+    null: bool  # whether the effect vanishes there
+    share: float  # of the posterior, at the bound
+    best: bool  # whether all of the best particles are near
+
+
+def _ends(
+    parameters: Sequence[Parameter], unit: np.ndarray, log_weights: np.ndarray, last: Generation
+) -> Iterator[_End]:
+    best = np.asarray(last.notes.get("best", np.empty((0, len(parameters)))))
+    weights = normalised(log_weights)
+    for i, p in enumerate(parameters):
+        measure = "" if p.unit in ("", "1") else f" {p.unit}"
+        for name, bound, far, far_best in (
+            ("low", p.low, unit[:, i], best[:, i]),
+            ("high", p.high, 1 - unit[:, i], 1 - best[:, i]),
+        ):
+            near = bool(len(best)) and bool(np.all(far_best < NEAR))
+            share = float(weights[far < EDGE].sum())
+            yield _End(p, f"{name} end, {bound:g}{measure}", p.null == bound, share, near)
 
 
 def unfinished(last: Generation) -> list[str]:
@@ -201,6 +238,10 @@ def unfinished(last: Generation) -> list[str]:
         f"more could be learnt: with {last.ess:.0f} effective particles the data are weighed at {share:.0%} of "
         "what they support, so the posterior is wider than need be; more generations narrow it"
     ]
+
+
+def _fits_poorly(last: Generation) -> bool:
+    return max(_misfit_ratios(last), default=0.0) > POOR
 
 
 def _misfit_ratios(last: Generation) -> list[float]:

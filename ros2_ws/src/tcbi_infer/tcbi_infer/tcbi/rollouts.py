@@ -1,7 +1,7 @@
 """The real rollouts of an inference: checked, grouped, and each group on its own time grid."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.errors import InferError
 from tcbi_infer.gaps import unusable
 from tcbi_infer.statistics import RolloutArrays, from_measurements
-from tcbi_sim.measurement import Measurement
+from tcbi_sim.measurement import Measurement, roll_pitch_yaw
 from tcbi_sim.model import Model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
@@ -115,12 +115,18 @@ def sample_rate(model: Model, measurements: Sequence[Measurement]) -> float:
     return rate / max(1, round(rate / recorded))
 
 
-def grouped(measurements: Sequence[Measurement], rate: float, by_policy: bool) -> list[Group]:
-    """Rollouts of one task and nearly one duration (0.5 s) together, cut to the shortest of them."""
+def grouped(measurements: Sequence[Measurement], rate: float, acting: Container[str]) -> list[Group]:
+    """Rollouts of one task and nearly one duration (0.5 s) together, cut to the shortest of them.
+
+    Args:
+      measurements: the real rollouts.
+      rate: of the groups' time grids (Hz).
+      acting: ids of the policies that act in closed loop; rollouts of each are a group of their own.
+    """
     groups: dict[tuple, list[Measurement]] = {}
     for m in measurements:
         end = min(m.scenario.duration, float(m.time[-1]))
-        key = (m.scenario.task, round(2 * end), m.commands.ramp, m.policy_id if by_policy else "")
+        key = (m.scenario.task, round(2 * end), m.commands.ramp, m.policy_id if m.policy_id in acting else "")
         groups.setdefault(key, []).append(m)
     return [_group(members, rate) for _, members in sorted(groups.items(), key=lambda item: str(item[0]))]
 
@@ -148,38 +154,57 @@ def _until(m: Measurement, duration: float) -> Measurement:
 
 
 def sensor_noise(measurements: Sequence[Measurement], nominal: Noise) -> Noise:
-    """White noise for simulated readings: the rig's, less if the recordings show less, more if they show much more.
+    """Noise for simulated readings: the rig's, less if the recordings show less, more if they show much more.
 
-    Third differences of smooth signals leave little but noise; the median is taken, since motion can only add to it.
     Body rates are not smooth where feet strike: their noise is never taken for more than the rig's.
     """
-
-    def shown(field: str) -> float:
-        values = [v for v in (getattr(m, field) for m in measurements) if v is not None and len(v) > 4]
-        if not values:
-            return 0.0
-        spread = [np.nanmedian(np.abs(np.diff(v, n=3, axis=0))) / (0.6745 * np.sqrt(20.0)) for v in values]
-        return float(np.median(spread))
 
     def state(found: float, sd: float) -> float:
         return found if found > NOISIER * sd else min(sd, found)
 
+    tilts = [None if m.attitude is None else roll_pitch_yaw(m.attitude)[:, :2] for m in measurements]
+    places = [None if m.position is None else m.position[:, :2] for m in measurements]  # height enters no reward
     return Noise(
-        joint_position=state(shown("joint_position"), nominal.joint_position),
-        attitude=state(2 * shown("attitude"), nominal.attitude),
-        angular_velocity=min(nominal.angular_velocity, shown("angular_velocity")),
+        joint_position=state(_white([m.joint_position for m in measurements]), nominal.joint_position),
+        attitude=state(_white(tilts, turn=2 * np.pi), nominal.attitude),
+        angular_velocity=min(nominal.angular_velocity, _white([m.angular_velocity for m in measurements])),
+        position=state(_white(places), nominal.position),
+        encoder_step=_encoder_step([m.joint_position for m in measurements], nominal.encoder_step),
     )
+
+
+def _white(signals: Sequence[np.ndarray | None], turn: float = np.inf) -> float:
+    """Standard deviation of the white noise on (T, D) signals, of which angles repeat after a `turn`.
+
+    Third differences of smooth signals leave little but noise; the median is taken, since motion can only add to it.
+    """
+    thirds = [np.diff(values, n=3, axis=0) for values in signals if values is not None and len(values) > 4]
+    if np.isfinite(turn):
+        thirds = [(third + turn / 2) % turn - turn / 2 for third in thirds]
+    spread = [np.nanmedian(np.abs(third)) / (0.6745 * np.sqrt(20.0)) for third in thirds]
+    return float(np.median(spread)) if spread else 0.0
+
+
+def _encoder_step(joints: Sequence[np.ndarray], step: float) -> float:
+    """The rig's encoder step (rad) if recorded (T, J) joint angles move in whole ones, else 0."""
+    if step <= 0:
+        return 0.0
+    moves = np.concatenate([np.diff(values, axis=0).ravel() for values in joints]) / step
+    moves = moves[np.abs(moves) > 0.5]
+    return step if moves.size and np.median(np.abs(moves - np.rint(moves))) < 0.01 else 0.0
 
 
 def noisier(noise: Noise, nominal: Noise) -> list[str]:
     """A line for each reading that is much noisier than the rig's sensors are."""
     readings = (
-        ("joint angles", noise.joint_position, nominal.joint_position),
-        ("attitude", noise.attitude, nominal.attitude),
+        ("joint angles", noise.joint_position, nominal.joint_position, "rad"),
+        ("attitudes", noise.attitude, nominal.attitude, "rad"),
+        ("positions", noise.position, nominal.position, "m"),
     )
     return [
-        f"{name} are recorded with a noise of {seen:.2g} rad where the rig has {sd:.2g}; simulated readings get as much"
-        for name, seen, sd in readings
+        f"{name} are recorded with a noise of {seen:.2g} {unit} where the rig has {sd:.2g}; "
+        "simulated readings get as much"
+        for name, seen, sd, unit in readings
         if seen > sd
     ]
 

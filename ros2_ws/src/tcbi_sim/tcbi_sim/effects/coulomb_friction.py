@@ -9,10 +9,10 @@ from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
 
 NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
-DAMPING = 0.02  # N m s/rad, of bristles that bend
-LEAST = 1e-6  # N m; without any torque the bristles' stiffness would be undefined
+DAMPING = 2 / 3  # s/rad, of bristles that bend, per torque: twice the torque is twice the bristles
+LEAST = 1e-12  # N m; without any torque the bristles' stiffness would be undefined
 STRIBECK_SPEED = 0.1  # rad/s; without meaning while breaking away takes no more than sliding
-STIFFNESS_AT = 5  # column of a friction actuator's dynprm
+STIFFNESS_AT, DAMPING_AT = 5, 6  # columns of a friction actuator's dynprm
 SLIDING_AT, BREAKAWAY_AT = 3, 4  # columns of its biasprm
 
 
@@ -31,6 +31,7 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
     actuators = fields.actuators(tuple(_name(j) for j in rig.joint_names))
     torque = np.maximum(values["torque"], LEAST)[:, None]
     fields.model["actuator_dynprm"][:, actuators, STIFFNESS_AT] = torque / values["presliding"][:, None]
+    fields.model["actuator_dynprm"][:, actuators, DAMPING_AT] = DAMPING * torque
     fields.model["actuator_biasprm"][:, actuators, SLIDING_AT] = torque
     fields.model["actuator_biasprm"][:, actuators, BREAKAWAY_AT] = torque
 
