@@ -196,7 +196,7 @@ def run_retrain(task: Task, emit: Emit) -> None:
         if event["event"] == "progress":
             watch("training", event["share"])
         elif event["event"] == "comparing":
-            watch(f"comparing with {event['rival']} on {event['pairs']} held-out draws")
+            watch(f"comparing with {event['rival']} on {event['pairs']} held-out rollouts")
         elif event["event"] == "evaluation":
             emit("training", content=event)
 

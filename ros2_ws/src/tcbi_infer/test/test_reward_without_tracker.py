@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tcbi_infer.errors import InferError
-from tcbi_infer.statistics import library
+from tcbi_infer.statistics import library, reward
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_policy.gaits import Gait
-from tcbi_policy.reward import episode_reward
+from tcbi_policy.reward import Term, episode_reward, terms_of
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Measurement, Scenario
 from tcbi_sim.model import base_model
@@ -61,3 +61,12 @@ def test_a_distance_counts_only_for_the_motion_that_made_it(tracked: list[Measur
     problem = Problem.of(MODEL, [first, shorter], **REWARD)
     assert len(problem.groups) == 1
     assert np.isnan(problem.groups[0].arrays.distance).tolist() == [[True, False]]
+
+
+def test_a_reward_of_ones_own_that_is_made_of_a_position_says_that_it_lacks_one(
+    tracked: list[Measurement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = Term("pace", 1.0, "m/s", "progress by time", lambda steps: np.diff(steps.progress, axis=-1) / 0.2)
+    monkeypatch.setattr(reward, "terms_of", lambda task: (*terms_of(task), own))
+    with pytest.raises(InferError, match=r"a position, of which pace in the reward of this task is made"):
+        Problem.of(MODEL, untracked(tracked), **REWARD)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.statistics.base import RolloutArrays, Statistic
-from tcbi_policy.reward import DISTANCE, counts_distance, has_reward, step_rewards, terms_of
+from tcbi_policy.reward import DISTANCE, counts_distance, has_reward, needs_position, step_rewards, terms_of
 from tcbi_sim.measurement import progress
 
 
@@ -49,6 +49,10 @@ def lacks(arrays: RolloutArrays) -> str:
         return f"a task without a reward ({', '.join(unknown)})"
     if arrays.position is None and arrays.distance is None and any(counts_distance(task) for task in tasks):
         return "neither a position nor a distance at the end, of which the reward of this task needs one"
+    terms = [term for task in tasks for term in terms_of(task) if term.name != DISTANCE]
+    blind = [term.name for term in terms if arrays.position is None and needs_position(term)]
+    if blind:
+        return f"a position, of which {', '.join(blind)} in the reward of this task is made"
     return ""
 
 
