@@ -11,6 +11,7 @@ This module imports neither torch nor rclpy. A process that died is started agai
 
 import contextlib
 import dataclasses
+import fcntl
 import hashlib
 import json
 import os
@@ -19,6 +20,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +31,7 @@ from tcbi_policy.artefact import replace_file
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import TrainingError
 
+ORPHAN_S = 10.0
 NICENESS = 10  # a robot moves in real time beside it
 GRACE_S = 0.5  # between asking a process to end and ending it
 SPEC = "run.json"
@@ -84,6 +87,30 @@ def write_run(folder: Path, run: Run) -> Path:
     else:
         replace_file(folder / SPEC, run.to_json().encode())
     return folder
+
+
+@contextlib.contextmanager
+def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
+    """Keep every other process from training in a run's folder.
+
+    One whose parent was killed ends when it next tells of its progress; so long it is waited for.
+
+    Raises:
+      TrainingError: another one trains there and goes on.
+    """
+    deadline = time.monotonic() + patience_s
+    with (folder / SPEC).open() as file:
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    raise TrainingError(
+                        f"{folder}: another process trains this run; wait for its end, or choose another name or seed"
+                    ) from None
+                time.sleep(0.1)
+        yield
 
 
 class TrainingProcess:

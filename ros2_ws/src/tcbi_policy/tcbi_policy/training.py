@@ -52,7 +52,7 @@ from tcbi_policy.gaits import CYCLES, Gait
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
 from tcbi_policy.randomisation import divided, prior_of, randomised
-from tcbi_policy.runs import ERRORS, Run
+from tcbi_policy.runs import ERRORS, Run, alone
 from tcbi_policy.stable_baselines import (
     HexapodVecEnv,
     freeze_actor,
@@ -342,6 +342,11 @@ def library_versions() -> dict[str, str]:
 def train_run(folder: Path, report: Report) -> None:
     """Run, or go on with, the training in a folder, and compare its result with the rival."""
     run = Run.from_folder(folder)
+    with alone(folder):
+        _train_run(folder, run, report)
+
+
+def _train_run(folder: Path, run: Run, report: Report) -> None:
     store = ModelStore(run.store or None)
     model = store.load(run.model)
     start = find_policy(run.start, store.root) if run.start else None

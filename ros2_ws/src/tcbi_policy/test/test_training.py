@@ -18,7 +18,7 @@ from tcbi_policy.configuration import PRESETS, TrainingConfig, preset
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.gaits import CYCLES
 from tcbi_policy.imitation import next_posture
-from tcbi_policy.runs import Run, TrainingProcess, write_run
+from tcbi_policy.runs import Run, TrainingProcess, alone, write_run
 from tcbi_policy.stable_baselines import OBSERVATION_SCALE
 from tcbi_policy.training import Training
 from tcbi_sim.errors import UnknownNameError
@@ -275,3 +275,12 @@ def test_a_process_that_stands_by_ends_with_its_owner() -> None:
     process = TrainingProcess()
     process.close()
     assert process.poll(5.0) == (None, True)
+
+
+def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0"))
+    words = "another process trains this run"
+    with alone(folder), pytest.raises(TrainingError, match=words), alone(folder, patience_s=0.2):
+        pass
+    with alone(folder, patience_s=0.0):
+        pass
