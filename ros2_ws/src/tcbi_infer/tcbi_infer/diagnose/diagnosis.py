@@ -50,7 +50,9 @@ from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
-BETTER = 3.0  # nats: by so much must the base model's fit improve from a candidate's parameters, to begin again there
+# by so much must the base model's fit improve from a candidate's parameters, to begin again there: nats, and a share of
+# what the best candidate gains
+BETTER, BETTER_SHARE = 3.0, 0.1
 
 
 def diagnose(
@@ -197,7 +199,8 @@ class _Run:
         self.progress("fitting the base model again", 0.85)
         starts = np.array([rough.unit[: len(found.base.unit)] for rough, _ in found.fits.values()])
         fit = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse).run(starts, steps=CLOSE_STEPS)
-        return fit if found.coarse.total - fit.total > BETTER else None
+        gained = found.coarse.total - min(rough.total for rough, _ in found.fits.values())
+        return fit if found.coarse.total - fit.total > max(BETTER, BETTER_SHARE * gained) else None
 
     def _rule(self, found: "_Found", nuisance: Nuisance) -> Diagnosis:
         """Hold the candidates' gains against those of a search where nothing is missing, and conclude."""
