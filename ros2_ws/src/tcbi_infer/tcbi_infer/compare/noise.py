@@ -72,12 +72,18 @@ def noise_floor(
     return NoiseFloor(np.fmax(values, layout.floor()), True, tuple(int(i) for i in np.nonzero(~known)[0]))
 
 
+def mean_of(repeats: np.ndarray) -> np.ndarray:
+    """(...) mean of (R, ...) repeats, of those that measured; NaN where none did."""
+    there = np.isfinite(repeats)
+    count = there.sum(axis=0)
+    return np.where(count, np.where(there, repeats, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+
+
 def scatter(repeats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sum of squares (...) of (R, ...) repeats about their mean, and its degrees of freedom, of those that measured."""
     there = np.isfinite(repeats)
-    count = there.sum(axis=0)
-    mean = np.where(there, repeats, 0.0).sum(axis=0) / np.maximum(count, 1)
-    return (np.where(there, repeats - mean, 0.0) ** 2).sum(axis=0), np.maximum(count - 1, 0)
+    apart = np.where(there, repeats - mean_of(repeats), 0.0)
+    return (apart**2).sum(axis=0), np.maximum(there.sum(axis=0) - 1, 0)
 
 
 def distinct(values: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from tcbi_infer.compare.clocks import aligned
 from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
 from tcbi_infer.compare.lengths import extended, side_by_side
-from tcbi_infer.compare.noise import NoiseFloor, noise_floor
+from tcbi_infer.compare.noise import NoiseFloor, mean_of, noise_floor
 from tcbi_infer.compare.replicates import Replicates, find_replicates
 from tcbi_infer.compare.signals import Layout
 from tcbi_infer.gaps import unusable
@@ -161,18 +161,11 @@ class Replay:
 
     def means(self) -> np.ndarray:
         """(S, T, C) mean over the replicates of each set, of those that measured; NaN where none did."""
-        return np.stack([_mean(self.measured[list(g.members)]) for g in self.replicates])
+        return np.stack([mean_of(self.measured[list(g.members)]) for g in self.replicates])
 
     def counts(self) -> np.ndarray:
         """(S, T, C) how many replicates of each set measured each sample."""
         return np.stack([np.isfinite(self.measured[list(g.members)]).sum(axis=0) for g in self.replicates])
-
-
-def _mean(repeats: np.ndarray) -> np.ndarray:
-    """(...) mean of what is there of (R, ...); NaN of nothing."""
-    there = np.isfinite(repeats)
-    count = there.sum(axis=0)
-    return np.where(count, np.where(there, repeats, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
 
 
 def _readings(own: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:

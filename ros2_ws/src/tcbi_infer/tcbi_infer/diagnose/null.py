@@ -10,6 +10,7 @@ import dataclasses
 
 import numpy as np
 
+from tcbi_infer.compare.noise import mean_of
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.problem import Problem
@@ -71,11 +72,9 @@ def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.G
 def _difference(recordings: np.ndarray) -> np.ndarray:
     """(T, C) the first of (R, T, C) repeats against their mean, with the variance of one recording; NaN where fewer
     than two of them measured."""
-    there = np.isfinite(recordings)
-    count = there.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.where(there, recordings, 0.0).sum(axis=0) / count
-        return np.where(count > 1, (recordings[0] - mean) * np.sqrt(count / (count - 1)), np.nan)
+    count = np.isfinite(recordings).sum(axis=0)
+    apart = recordings[0] - mean_of(recordings)
+    return np.where(count > 1, apart * np.sqrt(count / np.maximum(count - 1, 1)), np.nan)
 
 
 def simulate_null(
