@@ -267,7 +267,8 @@ def test_a_servo_that_stops_answering_makes_the_robot_limp_and_nothing_is_made_u
         until(lambda: bool(bench.body.torque.all()), "torque")
         bench.electronics.bus.absent.add(7)
         until(lambda: driver.link.safety.mode is Mode.LIMP, "limp")
-        until(lambda: int(bench.body.torque.sum()) == 1, "torque off but for the one that hears nothing")
+        hears = np.arange(1, 19) != 7  # which loses its torque only where a stalled machine lets the power be cut
+        until(lambda: not bench.body.torque[hears].any(), "torque off but for the one that hears nothing")
         seen, samples = len(driver.joints), len(driver.board)
         until(lambda: len(driver.board) > samples + 10, "the board to go on")
         assert len(driver.joints) == seen
