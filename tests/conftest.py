@@ -22,9 +22,24 @@ from tcbi_bringup.graph_monitor import GraphMonitor
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_contract import names
 from tcbi_msgs.srv import ResetEpisode
+from tests.stalls import StalledMachine, StallWatch
 
 DEADLINE_S = 90.0  # far beyond what is needed, for a machine that does much else
 RESETS, RESET_PAUSE_S = 5, 1.0
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
+    """A test in real time that fails while the machine stands still is told apart, and run again."""
+    if not any(pyfuncitem.get_closest_marker(name) for name in ("graph", "real_time")):
+        return (yield)
+    with StallWatch() as watch:
+        try:
+            return (yield)
+        except (Exception, pytest.fail.Exception) as error:
+            if not watch.stalled:
+                raise
+            raise StalledMachine(f"held up for {watch.longest_s:.2f} s, and {error}") from error
 
 
 @pytest.fixture

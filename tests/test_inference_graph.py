@@ -114,6 +114,26 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
     server.destroy()
 
 
+def test_an_error_that_fell_is_reason_enough_for_a_training(start_graph, peer, node, tmp_path):
+    goals = []
+
+    def train(handle):
+        goals.append(handle.request)
+        handle.succeed()
+        return Retrain.Result(success=True, message="trained")
+
+    write_rollouts(tmp_path / "bags", 0, 6)
+    server = ActionServer(peer.node, Retrain, names.RETRAIN, train)
+    still = {"posterior_moved": 1e9, "error_fell": 0.3}
+    graph = start_graph(NodeProcess("tcbi_infer", "inference_node", parameters={**node.parameters, **still}))
+    errors = peer.collect(names.MODEL_ERROR, ModelError, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(goals), "training", WORK_S)
+    peer.wait_until(lambda: bool(errors) and errors[-1].model == f"{RIG}-v1", "the new version's error")
+    (why,) = [line for line in graph.tail("inference_node", 1000).splitlines() if "wants a training" in line]
+    assert "the error on held-out rollouts fell by" in why and "moved" not in why
+    server.destroy()
+
+
 def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node, tmp_path):
     start_graph(node)
     added = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latency"), AddEffect)

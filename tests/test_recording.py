@@ -144,10 +144,14 @@ def test_a_second_recorder_on_the_same_folder_ends_with_one_line(start_graph, tm
 def test_cancelling_aborts_the_rollout_and_keeps_what_was_recorded(start_graph, peer, tmp_path):
     start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
     events = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
-    collection = Collection(peer, task="balance", number=3, seed=2)
-    second = Collection(peer, task="balance", number=1)
-    assert collection.handle.accepted and not second.handle.accepted
-    peer.wait_until(lambda: any(t.remaining_s < 6.5 for t in collection.told), "the first seconds")
+    for _ in range(3):  # a busy machine may hold up the policy, which ends a rollout
+        collection = Collection(peer, task="balance", number=3, seed=2)
+        second = Collection(peer, task="balance", number=1)
+        assert collection.handle.accepted and not second.handle.accepted
+        begun = lambda one=collection: any(t.remaining_s < 6.5 for t in one.told)  # noqa: E731
+        peer.wait_until(lambda one=collection, begun=begun: begun() or one.ended(), "the first seconds")
+        if begun():
+            break
     peer.result(collection.handle.cancel_goal_async(), "the answer to the cancelling")
     status, result = collection.result()
     assert status == GoalStatus.STATUS_CANCELED and not result.success and list(result.bags) == []

@@ -10,12 +10,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract.messages import STREAM_QOS
 from tcbi_contract.names import JOINT_STATES
+from tcbi_infer.bags.reader import read_measurement
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(600)]
 TCBI = [sys.executable, "-P", "-m", "tcbi_bringup.cli"]
@@ -46,6 +48,15 @@ class Call:
         return self.process.wait(DEADLINE_S)
 
 
+def answered(*words: str, typed: str = "") -> subprocess.CompletedProcess:
+    """One `./tcbi …` to its end, which must be good."""
+    result = subprocess.run(
+        [*TCBI, *words], input=typed, capture_output=True, text=True, timeout=DEADLINE_S, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    return result
+
+
 @pytest.fixture
 def call(domain: int, tmp_path: Path) -> Iterator:
     """`call("up", …)` starts the command in the test's domain; what still runs at the end is killed."""
@@ -73,6 +84,39 @@ def test_up_starts_the_graph_and_ends_it_without_leaving_a_process(call, peer, t
     assert up.end(kind) == 0, up.text()
     assert re.search(r"all \d processes stopped", up.text())
     assert len(pids) >= 4 and not [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+
+
+def test_up_drives_an_emulated_robot_and_a_rollout_of_it_is_recorded(call, tmp_path):
+    bags = tmp_path / "bags"
+    where = ("--store", str(tmp_path / "store"), "--log-dir", str(tmp_path / "log"), "--bags", str(bags))
+    up = call("up", "--robot", "emulated", "--hidden", "none", "--policy", "gait:tripod", "--no-learning", *where)
+    up.wait_for("^recorder_node: running")
+    told = answered("collect", "--duration", "2", "--slope-roll", "0.1", "--json")
+    (bag,) = json.loads(told.stdout)["bags"]
+    measured = read_measurement(bag)
+    assert (Path(bag).parent, measured.source, measured.policy_id) == (bags, "driver", "gait:tripod")
+    assert measured.scenario.slope_roll == pytest.approx(0.1)
+    assert np.ptp(measured.joint_position, axis=0).max() > 0.2 and np.isfinite(measured.distance)
+    assert up.end() == 0, up.text()
+
+
+def test_a_robot_at_a_port_is_placed_by_hand_and_its_distance_typed_in(call, start_graph, tmp_path):
+    port, bags = tmp_path / "robot.port", tmp_path / "bags"
+    arguments = ("--seed", "3", "--hidden", "none", "--link-path", str(port), "--socket", str(tmp_path / "sock"))
+    start_graph(NodeProcess("tcbi_bringup", "emulated_robot", arguments=arguments, ros=False), wait=False)
+    deadline = time.monotonic() + DEADLINE_S
+    while not port.exists():
+        assert time.monotonic() < deadline, "no port"
+        time.sleep(0.05)
+    where = ("--store", str(tmp_path / "store"), "--log-dir", str(tmp_path / "log"), "--bags", str(bags))
+    up = call("up", "--robot", str(port), "--policy", "gait:tripod", "--no-learning", *where)
+    up.wait_for("^recorder_node: running")
+    words = ("collect", "--duration", "2", "--slope-pitch", "0.1", "--place", "--ask-distance")
+    told = answered(*words, typed="\n" + "far\n" + "0.12\n")  # placed, no number, a distance
+    assert "pitch 5.7 degrees" in told.stderr and "'far' is no number" in told.stderr
+    measured = read_measurement(told.stdout.strip())
+    assert measured.distance == 0.12 and measured.scenario.slope_pitch == pytest.approx(0.1)
+    assert up.end() == 0, up.text()
 
 
 def test_a_second_up_in_the_same_domain_is_refused_in_one_line(call, tmp_path):

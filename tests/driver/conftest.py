@@ -14,53 +14,6 @@ from tcbi_bringup.emulated_robot.firmware import Electronics
 from tcbi_bringup.emulated_robot.port import PseudoTerminal, exchange
 
 DEADLINE_S = 20.0
-ATTEMPTS = 3
-STALL_S = 0.15  # so long a stall of the machine may have cost the robot or the driver its deadline of 0.4 s
-
-
-class StallWatch:
-    """Measures how long this process was held up at a time.
-
-    Attributes:
-      longest_s: the longest time that a thread slept more than it had asked for.
-    """
-
-    def __init__(self) -> None:
-        self.longest_s = 0.0
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> "StallWatch":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        period_s = 0.02
-        before = time.monotonic()
-        while not self._stop.wait(period_s):
-            now = time.monotonic()
-            self.longest_s = max(self.longest_s, now - before - period_s)
-            before = now
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
-    """Run a test again that failed while the machine stood still: a robot in real time is not judged by that."""
-    arguments = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
-    for attempt in range(1, ATTEMPTS + 1):
-        with StallWatch() as watch:
-            try:
-                pyfuncitem.obj(**arguments)
-                return True
-            except AssertionError as error:
-                if attempt == ATTEMPTS or watch.longest_s < STALL_S:
-                    raise
-                print(f"{pyfuncitem.name} runs again, held up for {watch.longest_s:.2f} s: {error}")
-    return True
 
 
 class KinematicBody:

@@ -16,6 +16,7 @@ from hexapod_driver.readings import BoardReading, JointReading
 from hexapod_driver.sensor_board import Frame, Kind
 from tcbi_contract.safety import Limits, Mode
 
+pytestmark = pytest.mark.real_time
 ZERO = (0.0,) * 18
 
 

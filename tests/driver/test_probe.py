@@ -11,6 +11,8 @@ from hexapod_driver.link import LinkSettings
 from hexapod_driver.probe import probe
 from tcbi_contract.check import FAULT, OK, Check
 
+pytestmark = pytest.mark.real_time
+
 
 def look(paths: list[str]) -> dict[str, Check]:
     board = paths[1] if len(paths) == 2 else ""
