@@ -303,11 +303,14 @@ class Simulator:
             if steps := round(duration / step):
                 self._run(functools.partial(self._batch.step, ids, steps))
 
-    def _run(self, call: Callable[[], None]) -> None:
+    def _run(self, call: Callable[[], object]) -> np.ndarray:
+        """Returns which simulations MuJoCo gave up in the call; they stay as they were, and have diverged."""
         try:
             call()
         except SimulationError as e:
             self.diverged[e.ids] = True
+            return np.asarray(e.ids, int)
+        return np.zeros(0, int)
 
     def _control(self, samples: int) -> np.ndarray:
         """(B, steps, actuators) what the servos track in the next samples."""
@@ -321,21 +324,17 @@ class Simulator:
         """Step through (B, steps, actuators), whole samples, and return the true signals of the new samples."""
         steps = control.shape[1]
         samples = steps // self.per_sample
-        recorded: dict = {}
-
-        def call() -> None:
-            recorded.update(self._batch.rollout(steps, control, record=("sensordata",)))
-
-        self._run(call)
+        recorded = np.empty((self.count, steps, self._sensordata.shape[-1]))  # whole where another simulation raises
+        out = {"sensordata": recorded}
+        failed = self._run(lambda: self._batch.rollout(steps, control, record=("sensordata",), out=out))
+        recorded[failed] = self._sensordata[failed, None]
         times = (self._taken + np.arange(1, samples + 1)) / self.rate
         self._taken += samples
         last = self._sample_now()
         # a step's sensors describe the state before it, so sample k is what step k * per_sample saw
-        inner = recorded["sensordata"][:, self.per_sample :: self.per_sample] if recorded else None
-        if inner is None or samples == 1:
+        if samples == 1:
             return last
-        before = self._samples(inner, times[:-1])
-        return Samples.concatenate([before, last])
+        return Samples.concatenate([self._samples(recorded[:, self.per_sample :: self.per_sample], times[:-1]), last])
 
     def _sample_now(self) -> Samples:
         self._run(lambda: self._batch.forward())

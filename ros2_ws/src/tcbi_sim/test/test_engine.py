@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from mujoco.batch import SimulationError
 
 from tcbi_sim.engine import Simulator, simulate
 from tcbi_sim.errors import SimError
@@ -138,6 +139,36 @@ def test_a_diverging_simulation_is_marked_and_leaves_the_others_alone():
     alone.command(target[:1])
     np.testing.assert_array_equal(pair.advance(1.0).joint_position[0], alone.advance(1.0).joint_position[0])
     assert pair.diverged.tolist() == [False, True]
+
+
+def test_an_error_of_mujoco_in_one_simulation_costs_the_others_no_sample(monkeypatch):
+    model = base_model("hexapod")
+    values = np.repeat([[0.75, 0.8, 2.5]], 2, axis=0)
+    pair, alone = (Simulator(model, values[:n], SHORT[:1] * n, 0.01, threads=1) for n in (2, 1))
+    rollout = pair._batch.rollout
+
+    def failing(*args, **options):
+        rollout(*args, **options)
+        options["out"]["sensordata"][1] = np.nan  # never written
+        raise SimulationError(np.array([1]), "as MuJoCo does")
+
+    monkeypatch.setattr(pair, "_batch", Failing(pair._batch, failing))
+    pair.command(np.zeros((2, 18)))
+    alone.command(np.zeros((1, 18)))
+    got, expected = pair.advance(1.0), alone.advance(1.0)
+    np.testing.assert_array_equal(got.joint_position[0], expected.joint_position[0])
+    assert got.joint_position.shape == (2, 50, 18) and np.isfinite(got.joint_position).all()
+    assert pair.diverged.tolist() == [False, True]
+
+
+class Failing:
+    """A batch whose rollouts end in an error."""
+
+    def __init__(self, batch, rollout) -> None:
+        self._batch, self.rollout = batch, rollout
+
+    def __getattr__(self, name):
+        return getattr(self._batch, name)
 
 
 def test_a_reset_of_one_simulation_leaves_the_others_running():
