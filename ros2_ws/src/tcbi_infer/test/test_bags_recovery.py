@@ -177,6 +177,17 @@ def test_a_damaged_original_is_read_only_where_it_is_named_alone(tmp_path, bare)
     assert any("is damaged" in note for note in read_measurement(original).notes)
 
 
+def test_a_bare_file_beside_bags_hides_none_of_them(tmp_path):
+    folder = tmp_path / "lab"
+    for name in ("walk_1", "walk_2"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / f"{name}_0.mcap").touch()
+        (folder / name / "metadata.yaml").touch()
+    (folder / "walk_3.mcap").touch()
+    assert [bag.name for bag in find_bags([folder])] == ["walk_1", "walk_2", "walk_3.mcap"]
+    assert find_bags([folder / "walk_1"]) == [folder / "walk_1"]
+
+
 def test_an_unfinished_recording_gets_its_final_name(tmp_path):
     bag = write_measurement(tmp_path, rollout())
     bag.rename(tmp_path / "walk_1.recording")

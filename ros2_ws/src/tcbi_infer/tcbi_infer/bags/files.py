@@ -77,10 +77,10 @@ def left_out(paths: Iterable[Path]) -> dict[Path, str]:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether this is a bag's folder or a bare MCAP file."""
-    if path.is_dir():
-        return any(path.glob("*.mcap"))
-    return path.suffix == ".mcap" and path.is_file()
+    """Whether this is a bag's folder or a bare MCAP file; a folder in which bags lie beside a bare file is none."""
+    if not path.is_dir():
+        return path.suffix == ".mcap" and path.is_file()
+    return any(path.glob("*.mcap")) and ((path / "metadata.yaml").is_file() or not any(path.glob("*/*.mcap")))
 
 
 def is_recording(folder: Path) -> bool:
