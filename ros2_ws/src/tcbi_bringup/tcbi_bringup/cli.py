@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from tcbi_bringup.arguments import USAGE, Parser
+from tcbi_bringup.arguments import USAGE, Parser, folder_path
+from tcbi_bringup.errors import WrongCallError
 from tcbi_contract.errors import TcbiError, UsageError
 
 OK, FAULT, INTERRUPTED = 0, 1, 130
@@ -236,10 +237,19 @@ def check_names(args: argparse.Namespace) -> None:
 
 @contextlib.contextmanager
 def store_of(args: argparse.Namespace) -> Iterator[None]:
-    """`--store` as the store of everything that the command does: one's own effects are looked up there too."""
+    """`--store` as the store of everything that the command does: one's own effects are looked up there too.
+
+    Raises:
+      WrongCallError: TCBI_STORE is no folder and cannot be made one.
+    """
     before, given = os.environ.get("TCBI_STORE"), getattr(args, "store", None)
     if given is not None:
         os.environ["TCBI_STORE"] = str(Path(given).expanduser().absolute())
+    elif before and hasattr(args, "store"):
+        try:
+            folder_path(before)
+        except argparse.ArgumentTypeError as e:
+            raise WrongCallError(f"the environment variable TCBI_STORE: {e}") from None
     try:
         yield
     finally:

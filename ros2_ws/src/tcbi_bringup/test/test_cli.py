@@ -265,3 +265,12 @@ def test_sigterm_ends_a_command_in_good_order_whoever_calls_main():
         process.terminate()
         assert process.stdout.read() == "ended in good order\n"
     assert process.returncode == 128 + signal.SIGTERM
+
+
+def test_a_store_that_is_a_file_is_refused_before_anything_else(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "store"
+    file.touch()
+    monkeypatch.setenv("TCBI_STORE", str(file))
+    assert cli.main(["history"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "TCBI_STORE" in line and "allowed is a folder" in line
