@@ -134,7 +134,7 @@ def test_a_models_readings_have_the_rigs_noise_positions_and_encoder_steps_too(b
     noise = load_rig("hexapod").noise
     _, (m, _) = bench["truths"].recorded("model", "balance", 0, 2, 1.0)
     clean = dataclasses.replace(m, position=np.zeros((4000, 3)))
-    noisy = bench["truths"].noisy(clean, noise, np.random.default_rng(0))
+    noisy = bench["truths"].with_noise(clean, noise, np.random.default_rng(0))
     assert noisy.position.std() == pytest.approx(noise.position, rel=0.05)
     steps = m.joint_position / noise.encoder_step
     assert np.allclose(steps, np.round(steps), atol=1e-9)
@@ -147,3 +147,11 @@ def test_noise_of_equation_14_has_the_size_asked_for(bench) -> None:
     added = np.concatenate([(a.joint_position - b.joint_position).ravel() for a, b in pairs])
     assert added.std() == pytest.approx(0.05, rel=0.05)
     assert bench["truths"].with_state_noise(rollouts, 0.0, 0) is rollouts
+
+
+def test_noise_of_equation_14_is_in_what_the_policy_sees_too(bench) -> None:
+    (_, (quiet, gait)), (_, (shaken, same)) = (
+        bench["truths"].recorded("robot", "balance", 0, 2, 1.0, sigma) for sigma in (0.0, 0.08)
+    )
+    assert np.abs(shaken.commands.target - quiet.commands.target).max() > 0.01, "the policy's"
+    np.testing.assert_array_equal(gait.commands.target, same.commands.target)

@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 import numpy as np
-from truths import RIG, recorded, with_state_noise
+from truths import RIG, recorded
 
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import find_method
@@ -40,12 +40,12 @@ class Case:
 
 def run(case: Case) -> Result:
     """Record (or take what was just recorded), infer, compare with the truth."""
-    values, rollouts = recorded(case.source, case.task, case.truth, case.rollouts, case.duration)
+    values, rollouts = recorded(case.source, case.task, case.truth, case.rollouts, case.duration, case.noise)
     began, cpu = time.perf_counter(), time.process_time()
     method = find_method(case.method)
     problem = Problem.of(
         base_model(RIG),
-        with_state_noise(rollouts, case.noise, case.truth),
+        rollouts,
         statistics=method.statistics,
         seed=case.truth,
         bins=case.bins,

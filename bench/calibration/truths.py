@@ -10,6 +10,7 @@ from tcbi_bringup.emulated_robot.hidden_effects import NONE
 from tcbi_bringup.emulated_robot.rollout import EmulatedRobot
 from tcbi_infer.collection import Request, scenario_of
 from tcbi_policy.artefact import find_policy
+from tcbi_policy.evaluation import noisy
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Measurement, quaternion_from_rpy
 from tcbi_sim.model import base_model
@@ -24,9 +25,11 @@ POLICIES = {"balance": ("balance", "gait:steps"), "forward": ("forward", "gait:t
 
 @functools.lru_cache(maxsize=2)
 def recorded(
-    source: str, task: str, truth: int, rollouts: int, duration: float
+    source: str, task: str, truth: int, rollouts: int, duration: float, sigma: float = 0.0
 ) -> tuple[np.ndarray, list[Measurement]]:
     """Parameters (P,) and rollouts; half of them by the trained policy of the task, half by a scripted gait.
+
+    Noise of `sigma` (rad) beyond the sensors' own is on what the policy sees and on what is recorded: equation 14.
 
     Args:
       source: "model", "robot" (emulated, nothing hidden) or "hidden" (one of the effects, drawn with the robot).
@@ -34,8 +37,9 @@ def recorded(
       truth: its number.
       rollouts: how many.
       duration: s of each.
+      sigma: rad.
     """
-    policies = [find_policy(name) for name in POLICIES[task]]
+    policies = [noisy(find_policy(name), sigma) for name in POLICIES[task]]
     scenarios = [scenario_of(Request(task, 1, 1000 * truth + i, duration_s=duration), 0) for i in range(rollouts)]
     model, found = base_model(RIG), []
     if source != "model":
@@ -45,28 +49,28 @@ def recorded(
         for i, scenario in enumerate(scenarios):
             rollout = measure(robot, scenario, policies[i % 2], trial=i, policy_id=policies[i % 2].policy_id)
             found.append(dataclasses.replace(rollout, rollout_id=f"robot-{truth}-{i}"))
-        return values, found
+        return values, with_state_noise(found, sigma, truth)
     rng = np.random.default_rng([truth, 7])
     values = model.from_unit(rng.random((1, len(model.names))))
     for which, policy in enumerate(policies):
         mine = scenarios[which::2]
-        out = simulate(model, values, mine, controller=policy, timestep=FINE_STEP)
+        out = simulate(model, values, mine, controller=policy, noise=load_rig(RIG).noise, timestep=FINE_STEP)
         found += [
-            noisy(out.measurement(0, s, f"model-{truth}-{which}-{s}", policy.policy_id), load_rig(RIG).noise, rng)
+            with_noise(out.measurement(0, s, f"model-{truth}-{which}-{s}", policy.policy_id), load_rig(RIG).noise, rng)
             for s in range(len(mine))
         ]
-    return values[0], found
+    return values[0], with_state_noise(found, sigma, truth)
 
 
 def with_state_noise(rollouts: list[Measurement], sigma: float, seed: int) -> list[Measurement]:
-    """Equation 14: white noise of standard deviation sigma (rad) on the state, joint angles and attitude."""
+    """White noise of standard deviation sigma (rad) on the recorded state, joint angles and attitude."""
     if sigma == 0:
         return rollouts
     rng = np.random.default_rng([seed, 14])
-    return [noisy(m, Noise(joint_position=sigma, attitude=sigma, angular_velocity=0.0), rng) for m in rollouts]
+    return [with_noise(m, Noise(joint_position=sigma, attitude=sigma, angular_velocity=0.0), rng) for m in rollouts]
 
 
-def noisy(m: Measurement, noise: Noise, rng: np.random.Generator) -> Measurement:
+def with_noise(m: Measurement, noise: Noise, rng: np.random.Generator) -> Measurement:
     """A measurement with white noise on its readings, and joint angles in the encoder's steps."""
     attitude, rates, position = m.attitude, m.angular_velocity, m.position
     if attitude is not None and noise.attitude > 0:

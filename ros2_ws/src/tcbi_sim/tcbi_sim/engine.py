@@ -11,6 +11,7 @@ the chunks are worked on (tcbi_sim.workers).
 
 import functools
 import itertools
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
@@ -21,7 +22,7 @@ from tcbi_contract.names import CONTROL_PERIOD_S, CONTROL_RATE_HZ
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Commands, Measurement, Scenario, observation, progress, roll_pitch_yaw
 from tcbi_sim.model import Model
-from tcbi_sim.rig import Rig
+from tcbi_sim.rig import Noise, Rig
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples
 from tcbi_sim.simulator import Simulator
@@ -103,6 +104,7 @@ def simulate(
     *,
     commands: Sequence[Commands] | None = None,
     controller: Controller | None = None,
+    noise: Noise | None = None,
     pairing: str = "product",
     timestep: float = 0.002,
     rate: float | None = None,
@@ -119,6 +121,7 @@ def simulate(
       scenarios: S of them; N with pairing "zip".
       commands: open loop, one per scenario.
       controller: closed loop at 5 Hz. Exactly one of the two.
+      noise: of the sensors that the controller reads; it reads them perfectly by default. What is returned has none.
       pairing: "product", or "zip" to run parameters[i] on scenarios[i], which gives arrays (N, 1, ...).
       timestep: s.
       rate: samples a second; the rig's own by default.
@@ -151,7 +154,7 @@ def simulate(
         )
         for begin in range(0, len(rows), size)
     ]
-    work = functools.partial(_simulated, model, controller, timestep, threads, rate, solver)
+    work = functools.partial(_simulated, model, controller, noise, timestep, threads, rate, solver)
     parts = present().map(work, chunks, progress)
     return _gather(load_rig(model.rig), list(scenarios), parts, (n, 1) if pairing == "zip" else (n, s))
 
@@ -180,6 +183,7 @@ def _chunk_size(
 def _simulated(
     model: Model,
     controller: Controller | None,
+    noise: Noise | None,
     timestep: float,
     threads: int,
     rate: float | None,
@@ -190,25 +194,44 @@ def _simulated(
     threads = present().threads or threads
     simulator = Simulator(model, chunk.parameters, chunk.scenarios, timestep, threads, rate, solver)
     if controller is not None:
-        return _closed_loop(simulator, controller, chunk.offset)
+        return _closed_loop(simulator, controller, noise, chunk.offset)
     assert chunk.commands is not None
     return _open_loop(simulator, chunk.commands)
 
 
-def _closed_loop(simulator: Simulator, controller: Controller, offset: int) -> Part:
+def _closed_loop(simulator: Simulator, controller: Controller, noise: Noise | None, offset: int) -> Part:
     duration = max(s.duration for s in simulator.scenarios)
     controller.reset(simulator.count, np.random.default_rng([offset, simulator.scenarios[0].seed]))
     parts, given, now = [simulator.observe()], [], _attitude(simulator.observe())
     yaw0 = roll_pitch_yaw(now)[:, 2]
     times = np.arange(np.ceil(duration * CONTROL_RATE_HZ - 1e-6)) / CONTROL_RATE_HZ  # a recording may end between ticks
-    for t in times:
+    misread = _misreadings(simulator, noise, len(times)) if noise else None
+    for k, t in enumerate(times):
         last = parts[-1]
         seen = observation(last.joint_position[:, -1], _attitude(last), yaw0)
+        if misread is not None:
+            seen = seen + misread[:, k]
         target = np.asarray(controller.act(float(t), seen), float)
         simulator.command(target)
         given.append(target)
         parts.append(simulator.advance(CONTROL_PERIOD_S))
     return Samples.concatenate(parts), times, np.stack(given, axis=1), simulator.diverged.copy()
+
+
+def _misreadings(simulator: Simulator, noise: Noise, ticks: int) -> np.ndarray:
+    """(B, ticks, J + 3) white noise of the sensors on what a policy sees (the paper's equation 14), in rad.
+
+    Each simulation has its own, whatever others are simulated with it.
+    """
+    joints = len(simulator.rig.joint_names)
+    # an encoder's steps are as good as noise evenly spread over one of them
+    angle = np.hypot(noise.joint_position, noise.encoder_step / np.sqrt(12))
+    sd = np.r_[np.full(joints, angle), np.full(3, noise.attitude)]
+    keys = [
+        [zlib.crc32(np.ascontiguousarray(row).tobytes()), scenario.seed, 14]
+        for row, scenario in zip(simulator.parameters, simulator.scenarios, strict=True)
+    ]
+    return sd * np.stack([np.random.default_rng(key).standard_normal((ticks, joints + 3)) for key in keys])
 
 
 def _attitude(samples: Samples) -> np.ndarray:

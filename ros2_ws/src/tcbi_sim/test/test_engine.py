@@ -1,5 +1,7 @@
 """The batch engine against a plain loop, and what it promises."""
 
+import functools
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Commands, Scenario
 from tcbi_sim.mjcf import materialise
 from tcbi_sim.model import base_model
+from tcbi_sim.rig import Noise
 from tcbi_sim.tasks import TASKS
 
 RNG = np.random.default_rng(3)
@@ -44,6 +47,29 @@ def test_replaying_its_own_commands_repeats_a_closed_loop_bit_for_bit():
     recorded = [closed.measurement(0, s).commands for s in range(3)]
     replayed = simulate(model, values, SHORT, commands=recorded, timestep=0.01)
     np.testing.assert_array_equal(closed.joint_position, replayed.joint_position)
+
+
+class Echo:
+    """Commands what it sees of the joints and of the attitude."""
+
+    def reset(self, count, rng):
+        pass
+
+    def act(self, time, seen):
+        return np.concatenate([seen[:, 18:], seen[:, 3:18]], axis=1)
+
+
+def test_what_a_controller_reads_has_the_sensors_noise_and_each_simulation_its_own():
+    model = base_model("hexapod")
+    values = model.from_unit(np.random.default_rng(3).random((3, 3)))
+    noise = Noise(joint_position=0.02, attitude=0.05)
+    run = functools.partial(simulate, model, controller=Echo(), timestep=0.01)
+    clean, noisy = run(values, SHORT), run(values, SHORT, noise=noise)
+    first = (noisy.commands_given - clean.commands_given)[:, :, 0]  # of the same posture; later ones went other ways
+    assert first[..., 3:].std() == pytest.approx(0.02, rel=0.4) and first[..., :3].std() == pytest.approx(0.05, rel=0.5)
+    assert len(np.unique(first[..., 0])) == first[..., 0].size
+    alone = run(values[2:], SHORT[1:], noise=noise, chunk=1)
+    np.testing.assert_array_equal(alone.commands_given[0, 0], noisy.commands_given[2, 1])
 
 
 def test_a_rollout_does_not_depend_on_when_others_are_commanded():

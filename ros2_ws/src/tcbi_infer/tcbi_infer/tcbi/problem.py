@@ -191,6 +191,7 @@ class Problem:
                 [m.scenario for m in group.measurements],
                 commands=None if controller else [m.commands for m in group.measurements],
                 controller=controller,
+                noise=self.noise if controller else None,
                 timestep=self.timestep,
                 rate=self.rate,
                 threads=self.threads,
