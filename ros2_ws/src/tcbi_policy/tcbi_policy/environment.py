@@ -140,12 +140,13 @@ class HexapodVectorEnv(VectorEnv):
         return self._observation(), reward, np.zeros(self.num_envs, bool), ended, info
 
     def _reward(self, before: Samples, target: np.ndarray) -> np.ndarray:
-        """Rewards (B,); a simulation that diverged earns nothing from then on."""
+        """Rewards (B,); a simulation that diverged earns nothing from then on, or the highest of costs."""
         attitude = np.stack([self._attitude(before), self._attitude(self._now)], axis=1)
         way = np.stack([self._origin, self._position(before), self._position(self._now)], axis=1)
         moved = progress(way, self._heading)[:, 1:]
         reward = step_rewards(self.task.name, attitude, moved, target[:, None], self._previous)[:, 0]
-        return np.where(self.simulator.diverged | ~np.isfinite(reward), 0.0, reward)
+        lost = self.simulator.diverged | ~np.isfinite(reward)
+        return np.where(lost, np.min(reward[~lost], initial=0.0), reward)
 
     def _outcome(self) -> dict[str, np.ndarray]:
         """What came of each episode: final inclination (rad) and distance (m)."""

@@ -150,6 +150,16 @@ def test_observation_noise_has_the_size_that_was_asked_for_and_leaves_the_reward
     np.testing.assert_array_equal(again, noisy.reset()[0])
 
 
+def test_a_simulation_that_diverges_never_earns_more_than_the_worst_of_the_others(monkeypatch) -> None:
+    environment = HexapodVectorEnv(MODEL, "balance", 3, 1)
+    environment.reset()
+    for rewards, expected in (((5.0, 9.0, 2.0), 0.0), ((-5.0, 9.0, -2.0), -5.0)):
+        monkeypatch.setattr("tcbi_policy.environment.step_rewards", lambda *_, given=rewards: np.array(given)[:, None])
+        environment.simulator.diverged[:] = [False, True, False]
+        given = environment.step(np.zeros((3, 18)))[1]
+        np.testing.assert_array_equal(given, [rewards[0], expected, rewards[2]])
+
+
 def test_a_reset_in_mid_episode_begins_the_next_one_and_a_seed_the_first() -> None:
     for environment in (HexapodEnv(MODEL, "balance", 3), HexapodVectorEnv(MODEL, "balance", 2, 3)):
         action = 0.0 * environment.action_space.sample()
