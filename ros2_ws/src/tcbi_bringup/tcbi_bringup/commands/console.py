@@ -32,6 +32,7 @@ from tcbi_bringup.arguments import at_least, folder_path
 from tcbi_bringup.progress import progress as progress
 
 if TYPE_CHECKING:
+    from tcbi_bringup.robot_graph import GraphOptions
     from tcbi_sim.measurement import Measurement
     from tcbi_sim.model import Model
     from tcbi_sim.store import ModelStore
@@ -61,6 +62,27 @@ def add_robot_link(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             option, type=at_least(9_600), default=0, metavar="BIT/S", help=f"{what}; default: the driver's own"
         )
+
+
+def graph_options(args: argparse.Namespace, **more: Any) -> "GraphOptions":
+    """What a command line says of a graph: of the robot and its link, task, model, namespace, seed and store."""
+    from tcbi_bringup.robot_graph import GraphOptions
+
+    return GraphOptions(
+        robot=args.robot,
+        task=args.task,
+        model=args.model or "latest",
+        namespace=args.namespace.strip("/"),
+        store=store_folder(args.store),
+        seed=args.seed,
+        sensor_port=args.sensor_port,
+        calibration=args.calibration,
+        baud_rate=args.baud_rate,
+        sensor_baud_rate=args.sensor_baud_rate,
+        hidden=args.hidden,
+        strength=args.strength,
+        **more,
+    )
 
 
 def add_hidden(parser: argparse.ArgumentParser) -> None:

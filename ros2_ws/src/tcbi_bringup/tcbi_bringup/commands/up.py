@@ -56,23 +56,12 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_bringup.domain_lock import hold_domain, present_domain, refuse_second_graph
     from tcbi_bringup.graph_monitor import GraphMonitor
     from tcbi_bringup.launcher import Graph
-    from tcbi_bringup.robot_graph import SIM, GraphOptions, newest_model, start_graph
+    from tcbi_bringup.robot_graph import SIM, newest_model, start_graph
 
-    options = GraphOptions(
-        robot=args.robot,
-        task=args.task,
+    options = console.graph_options(
+        args,
         policy=args.policy,
-        model=args.model,
         lockstep=args.lockstep,
-        namespace=args.namespace.strip("/"),
-        store=console.store_folder(args.store),
-        seed=args.seed,
-        sensor_port=args.sensor_port,
-        calibration=args.calibration,
-        baud_rate=args.baud_rate,
-        sensor_baud_rate=args.sensor_baud_rate,
-        hidden=args.hidden,
-        strength=args.strength,
         learning=not args.no_learning,
         recordings=args.bags.expanduser().resolve() if args.bags else None,
     )
