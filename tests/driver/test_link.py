@@ -14,6 +14,7 @@ from hexapod_driver.errors import PortError, StartupError
 from hexapod_driver.link import Link, LinkSettings
 from hexapod_driver.readings import BoardReading, JointReading
 from hexapod_driver.sensor_board import Frame, Kind
+from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_contract.safety import Limits, Mode
 
 pytestmark = pytest.mark.real_time
@@ -364,6 +365,59 @@ def test_a_reset_waits_for_a_reading_of_the_joints_but_not_for_ever(make_bench, 
         success, text = driver.answers.pop()
         assert success == comes_back, text
     assert "where the joints are is not known" in text
+
+
+class DeadBoard:
+    """A sensor board without power, whose watchdog is dead with it."""
+
+    def receive(self, data: bytes) -> bytes:
+        return b""
+
+    def tick(self) -> bytes:
+        return b""
+
+
+def test_a_board_that_dies_beside_a_sound_servo_bus_leaves_no_torque(make_bench, make_driver, until):
+    bench = make_bench(2)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver):
+        until(lambda: bool(bench.body.torque.all()), "torque")
+        bench.electronics.board = DeadBoard()
+        died = time.monotonic()
+        until(lambda: not bench.body.torque.any(), "torque off")
+    assert bench.body.limp_s - died < 2 * CONTROL_PERIOD_S + 0.1, "two control periods, and a moment to say it"
+    assert driver.link.safety.needs_reset
+
+
+def test_a_robot_whose_board_is_dead_at_the_start_loses_its_torque_all_the_same(make_bench, make_driver):
+    bench = make_bench(2)
+    bench.body.torque[:] = True
+    bench.electronics.board = DeadBoard()
+    with pytest.raises(StartupError, match="sensor board"):
+        make_driver(bench.paths).start()
+    assert not bench.body.torque.any()
+
+
+def test_an_emergency_stop_that_no_servo_confirms_is_left_to_the_boards_watchdog(make_bench, make_driver, until):
+    bench = make_bench(2)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver):
+        until(lambda: bool(bench.body.torque.all()), "torque")
+        hears, bench.electronics.bus.receive = bench.electronics.bus.receive, lambda data: b""
+        driver.stop()
+        until(lambda: bool(driver.answers), "the answer")
+        assert not driver.answers.pop()[0]
+        until(lambda: not bench.body.torque.any(), "the power cut")
+        samples = len(driver.board)
+        until(lambda: len(driver.board) > samples + 60, "a second in which the power stays cut")
+        assert not hears(feetech.encode(1, feetech.Instruction.PING))
+        driver.release()
+        bench.electronics.bus.receive = hears
+        seen = len(driver.joints)
+        until(lambda: len(driver.joints) > seen, "readings, with power again")
+    assert not bench.body.torque.any()
 
 
 def test_an_emergency_stop_ends_a_reset_that_waits(make_bench, make_driver, until):

@@ -6,7 +6,7 @@
     link.post(lambda robot: robot.command(target, 0.2), refused)
     link.close()              # torque off, port closed
 
-A lost link makes the robot limp (the board's watchdog does it where this computer no longer can), and is then
+A lost link makes the robot limp (by a last word on what is left of it, else by the board's watchdog), and is then
 retried with a back-off from 0.25 to 5 s. Nothing here raises into the node's thread after `start`.
 """
 
@@ -208,6 +208,8 @@ class Link:
         self._report(f"link: {reason}; trying to find the robot again")
         self.safety.go_limp(f"link lost: {reason}", needs_reset=True)
         self.robot = None
+        with contextlib.suppress(DriverError):  # the port may be the fault
+            robot.last_torque_off()
         robot.abandon(reason)
         robot.wire.close()
 

@@ -28,6 +28,7 @@ TORQUE_CHECK_S = 0.5
 STREAM_RETRY_S = 0.2
 STOP_CONFIRM_S = 0.5
 KNOWN_S = 1.0  # time that a reset has to learn where the joints are
+LAST_WORDS, LAST_WORD_S = 3, 0.01
 HEALTH_BYTES = 8  # position, speed, load, voltage, temperature from address 56
 
 
@@ -76,6 +77,7 @@ class Robot:
         self._asked: AskedPosture | None = None
         self._posture: PostureMove | None = None
         self._stops: list[tuple[float, Done]] = []
+        self._unconfirmed = False  # an emergency stop: then the board's watchdog is left to act
 
     def receive(self) -> None:
         """Wait for bytes, at most 10 ms, and hand on what they say."""
@@ -137,6 +139,16 @@ class Robot:
                 return ()
         return tuple(s for s in servos if s not in off)
 
+    def last_torque_off(self) -> None:
+        """Say it once more to a robot whose link counts as lost; a servo that is just answering may miss it once.
+
+        Raises:
+          LinkLost: the servos' port is what was lost.
+        """
+        for _ in range(LAST_WORDS):
+            self.wire.shout(feetech.torque(self._calibration.servos, False))
+            time.sleep(LAST_WORD_S)
+
     def abandon(self, reason: str) -> None:
         """The connection is over: tell everybody who waits."""
         self._forget_asked(reason)
@@ -166,9 +178,11 @@ class Robot:
             self._ask_torque()
         if self._read_timer.due(now):
             self._ask(feetech.sync_read(servos, feetech.PRESENT_POSITION, 2), self._take_positions)
-        if self._alive_timer.due(now):
+        self._unconfirmed &= self._safety.mode is Mode.STOPPED
+        if self._alive_timer.due(now) and not self._unconfirmed:
             self.wire.send_board(Kind.KEEP_ALIVE)
-        if self._stream_timer.due(now) and (not self.health.board_samples or now - self._last_sample > STREAM_RETRY_S):
+        quiet = not self.health.board_samples or now - self._last_sample > STREAM_RETRY_S
+        if self._stream_timer.due(now) and quiet and not self._unconfirmed:
             self._start_stream()
 
     def _ask(self, packet: bytes, purpose: Callable[[BusReply], None]) -> None:
@@ -206,6 +220,7 @@ class Robot:
             if not unsure:
                 done(True, f"all {len(servos)} servos confirm that their torque is off")
             elif now > deadline:
+                self._unconfirmed = True
                 done(False, f"emergency stop stands, but servos {unsure} did not confirm; cut the power to be sure")
             else:
                 waiting.append((deadline, done))
@@ -229,7 +244,8 @@ class Robot:
         if sample.watchdog_tripped:
             if self._safety.mode is Mode.ACTIVE:
                 self._safety.go_limp("the sensor board's watchdog took the torque off", needs_reset=True)
-            self._start_stream()  # which clears the board's flag
+            if not self._unconfirmed:
+                self._start_stream()  # which clears the board's flag, and gives the servos their power back
         self.health.board_samples += 1
         self._sink(BoardReading(self.wire.board_clock.stamp(sample.time_us, event.arrival_ns), sample))
 

@@ -18,11 +18,12 @@ SERVO_REMEDY = "check power, cables and the ids in the calibration"
 
 
 def check(wire: Wire, calibration: Calibration) -> Identity:
-    """Ping the sensor board and all servos, after taking the torque off.
+    """Ping the sensor board and all servos, after taking the torque off: first of all, should the board be the fault.
 
     Raises:
       StartupError: the board does not answer, speaks another version, or servos are missing: expected and found.
     """
+    wire.shout(feetech.torque(calibration.servos, False))
     identity = identify(wire)
     wire.submit(feetech.torque(calibration.servos, False))
     wake(wire, calibration)

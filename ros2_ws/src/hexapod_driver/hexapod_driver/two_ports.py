@@ -42,6 +42,10 @@ class TwoPorts(Wire):
         self._bus.close()
         self._board.close()
 
+    def shout(self, packet: bytes) -> None:
+        """Send a packet that asks nothing, whatever the bus waits for."""
+        self._bus.write(packet)
+
     def _board_port(self) -> SerialPort:
         return self._board
 

@@ -125,6 +125,10 @@ class Wire(ABC):
         self._submit(Request(self._tag, packet, replies, timeout_s or self.reply_timeout_s))
         return self._tag
 
+    def shout(self, packet: bytes) -> None:
+        """Send a packet that asks nothing, also where the answers to another are still awaited, which it may spoil."""
+        self.submit(packet)
+
     def send_board(self, kind: Kind, payload: bytes = b"") -> None:
         """Send a frame to the sensor board."""
         self._sequence = (self._sequence + 1) & 0xFFFF
