@@ -2,20 +2,29 @@
 
 import json
 import math
+import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 from action_msgs.msg import GoalStatus
+from rclpy.clock import Clock
+from rclpy.logging import get_logger
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
+from tcbi_bringup.arguments import Parser
+from tcbi_bringup.commands import collect
 from tcbi_contract import messages, names
-from tcbi_infer import collect_client
+from tcbi_infer import collect_client, collector
 from tcbi_infer.bags.reader import read_measurement
+from tcbi_infer.collection import Request, scenario_of
+from tcbi_infer.errors import RecordingError
+from tcbi_msgs.action import CollectRollouts
 from tcbi_msgs.msg import RolloutEvent
 from tcbi_msgs.srv import ResetEpisode
 from tests.recording_cases import Collection, recorder
@@ -31,8 +40,11 @@ class Robot:
         self.joints = peer.node.create_publisher(JointState, names.JOINT_STATES, messages.STREAM_QOS)
         peer.node.create_service(ResetEpisode, names.RESET_EPISODE, self.reset)
         if hands:
-            peer.node.create_service(ResetEpisode, names.PLACE_ROBOT, self.place)
+            self.offer_hands()
         peer.node.create_timer(0.02, self.measure)
+
+    def offer_hands(self) -> None:
+        self.peer.node.create_service(ResetEpisode, names.PLACE_ROBOT, self.place)
 
     def now(self):
         return self.peer.node.get_clock().now().to_msg()
@@ -69,14 +81,22 @@ def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_grap
     assert m.scenario.duration == 1.0 and 0.9 < m.time[-1] <= 1.0
 
 
-def test_ground_that_nobody_sets_is_not_recorded_as_it_was_drawn(start_graph, peer, tmp_path):
+def test_ground_that_nobody_sets_is_not_recorded_as_it_was_drawn_until_hands_come(start_graph, peer, tmp_path):
     start_graph(recorder(tmp_path / "bags", lockstep=False))
-    Robot(peer, hands=False)
+    robot = Robot(peer, hands=False)
     goal = {"task": "forward", "number": 1, "policy": "none", "duration_s": 0.4, "slope_pitch": [0.1]}
     status, result = Collection(peer, **goal).result()
     assert status == GoalStatus.STATUS_SUCCEEDED and "count as level, and there are no blocks" in result.message
     scenario = read_measurement(result.bags[0]).scenario
     assert (scenario.slope_roll, scenario.slope_pitch, scenario.blocks) == (0.0, 0.1, ())
+    before = robot.resets
+    collection = Collection(peer, **goal)
+    peer.wait_until(lambda: robot.resets > before, "the next collection's reset")
+    peer.comes(lambda: False, 0.3)
+    robot.offer_hands()
+    status, result = collection.result()
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.message == "1 rollout recorded"
+    assert len(robot.placed) == 1, "a later collection waits for hands again"
 
 
 def test_each_distance_that_is_asked_for_goes_to_its_own_rollout(start_graph, peer, tmp_path):
@@ -92,6 +112,113 @@ def test_each_distance_that_is_asked_for_goes_to_its_own_rollout(start_graph, pe
         peer.wait_until(lambda: collect.poll() is not None, "the end of the collection")
         bags = json.loads(collect.stdout.read())["bags"]
     assert [read_measurement(bag).distance for bag in bags] == [0.42, pytest.approx(math.nan, nan_ok=True), 0.1]
+
+
+@pytest.mark.parametrize(("prompt", "placed", "kept"), [("place the robot", 0, 0), ("distance in m", 2, 1)])
+def test_ctrl_c_at_a_prompt_frees_the_recorder_and_keeps_a_rollout_that_is_over(
+    start_graph, peer, tmp_path, prompt, placed, kept
+):
+    start_graph(recorder(tmp_path / "bags", lockstep=False))
+    Robot(peer, hands=False)
+    events = peer.collect(names.ROLLOUT_EVENT, RolloutEvent, messages.LATCHED_QOS)
+    command = [sys.executable, "-m", "tcbi_bringup.cli", "collect", "--n", "2", "--policy", "none", "--duration", "0.4"]
+    said = tmp_path / "said"
+    with (
+        said.open("w") as stderr,
+        subprocess.Popen(
+            [*command, "--place", "--ask-distance"], stdin=subprocess.PIPE, stdout=stderr, stderr=stderr, text=True
+        ) as asking,
+    ):
+        assert asking.stdin is not None
+        asking.stdin.write("\n" * placed)
+        asking.stdin.flush()
+        peer.wait_until(lambda: prompt in said.read_text(), "the prompt")
+        asking.send_signal(signal.SIGINT)
+        peer.wait_until(lambda: asking.poll() is not None, "the end of the command")
+    assert asking.returncode == 1
+    assert f"{kept} of 2 rollouts recorded: cancelled" in said.read_text()
+    assert len([path for path in (tmp_path / "bags").iterdir() if path.is_dir()]) == kept
+    if kept:
+        peer.wait_until(lambda: len(events) == 2, "BEGIN and one more")
+        assert events[1].kind == RolloutEvent.END and math.isnan(events[1].distance)
+
+
+class Service:
+    """A service as its client sees it."""
+
+    def __init__(self, answer) -> None:
+        self.call_async = answer
+
+    def service_is_ready(self) -> bool:
+        return True
+
+
+class Placing:
+    """A driver that stamps its resets by their number, and hands that take their time; without a graph."""
+
+    def __init__(self, placing_s: float) -> None:
+        self.placing_s, self.asked = placing_s, []
+        services = {names.RESET_EPISODE: Service(self.reset), names.PLACE_ROBOT: Service(self.place)}
+        self.collector = collector.Collector(
+            SimpleNamespace(
+                create_client=lambda _, name: services.get(name),
+                values=SimpleNamespace(service_timeout_s=5.0, place_timeout_s=5.0),
+                get_clock=Clock,
+                get_logger=lambda: get_logger("placing"),
+            )
+        )
+
+    def reset(self, _) -> Future:
+        self.asked.append(names.RESET_EPISODE)
+        response = ResetEpisode.Response(success=True, source="driver")
+        response.stamp.sec = len(self.asked)
+        future = Future()
+        future.set_result(response)
+        return future
+
+    def place(self, _) -> SimpleNamespace:
+        self.asked.append(names.PLACE_ROBOT)
+        placed = time.monotonic() + self.placing_s
+        response = ResetEpisode.Response(success=True)
+        response.stamp.sec = len(self.asked)
+        return SimpleNamespace(done=lambda: time.monotonic() > placed, result=lambda: response)
+
+    def run(self, goal):
+        """What a reset with its placing answers to a goal."""
+        coroutine = self.collector._reset_episode(goal, scenario_of(Request("balance", 1), 0), "")
+        while True:
+            try:
+                coroutine.send(None)
+            except StopIteration as end:
+                return end.value
+
+
+@pytest.mark.parametrize(("held_s", "resets"), [(5.0, 1), (0.05, 2)])
+def test_a_robot_that_may_have_gone_limp_while_it_was_placed_is_reset_again(monkeypatch, held_s, resets):
+    monkeypatch.setattr(collector, "HELD_S", held_s)
+    placing = Placing(0.1)
+    reset, placed = placing.run(SimpleNamespace(is_cancel_requested=False))
+    assert placing.asked == [names.RESET_EPISODE, names.PLACE_ROBOT, names.RESET_EPISODE][: resets + 1]
+    assert placed and reset.stamp.sec == len(placing.asked), "the last answer's stamp is the rollout's zero"
+
+
+def test_hands_are_waited_for_until_the_goal_is_cancelled():
+    placing = Placing(math.inf)
+    with pytest.raises(collector.CancelledError):
+        placing.run(SimpleNamespace(is_cancel_requested=True))
+    assert placing.asked == [names.RESET_EPISODE, names.PLACE_ROBOT]
+
+
+@pytest.mark.parametrize("more", ["", "; in 1 the policy came too late for its first tick"])
+def test_what_the_recorder_says_beside_the_number_is_shown(monkeypatch, capsys, more):
+    result = CollectRollouts.Result(success=True, message=f"2 rollouts recorded{more}", bags=["one", "two"])
+    monkeypatch.setattr(collect, "_ask", lambda *_: (result, True))
+    parser = Parser()
+    collect.add_arguments(parser)
+    assert collect.run(parser.parse_args(["--n", "2"])) == 0
+    out, err = capsys.readouterr()
+    assert out == "one\ntwo\n"
+    assert (result.message in err) == bool(more)
 
 
 class SlowPolicy:
@@ -166,3 +293,18 @@ def test_the_end_of_a_collection_is_asked_for_again_where_the_first_question_is_
     with collect_client.CollectClient(domain) as client:
         assert client._end(goal).result() == "the end"
     assert len(goal.asked) == 2
+
+
+def test_a_recorder_that_was_restarted_meanwhile_is_named(domain, monkeypatch):
+    def done(result) -> Future:
+        future = Future()
+        future.set_result(result)
+        return future
+
+    answer = SimpleNamespace(status=GoalStatus.STATUS_UNKNOWN, result=CollectRollouts.Result())
+    goal = SimpleNamespace(accepted=True, get_result_async=lambda: done(answer))
+    with collect_client.CollectClient(domain) as client:
+        monkeypatch.setattr(client._client, "server_is_ready", lambda: True)
+        monkeypatch.setattr(client._client, "send_goal_async", lambda *_, **__: done(goal))
+        with pytest.raises(RecordingError, match=r"restarted meanwhile .* finished rollouts lie in its folder"):
+            client.collect(Request("balance", 1))

@@ -3,7 +3,8 @@
     with CollectClient(domain_id=0) as client:
         result, succeeded = client.collect(Request("balance", 5, seed=1))
 
-Ctrl-C while it waits, or SIGTERM, cancels the goal: the rollout that runs is aborted, those before it stay.
+Ctrl-C while it waits, or SIGTERM, cancels the goal: the rollout that runs is aborted, those before it stay. One that is
+over and waits for its distance is kept without it.
 """
 
 import time
@@ -69,7 +70,7 @@ class CollectClient:
         """Wait for the recorder, send the goal, wait for its end; returns the result and whether all went well.
 
         Raises:
-          RecordingError: there is no recorder, it is busy, or it has gone.
+          RecordingError: there is no recorder, it is busy, it has gone, or it was restarted.
         """
         if not self._until(self._client.server_is_ready, ready_s, self.while_waiting):
             raise RecordingError(
@@ -93,6 +94,11 @@ class CollectClient:
             self._cancelled(sent)
             raise
         answer = ended.result()
+        if answer.status == GoalStatus.STATUS_UNKNOWN:
+            raise RecordingError(
+                "the recorder was restarted meanwhile and knows nothing of this collection; finished rollouts lie in "
+                f"{request.folder or 'its folder'}; look at the log of recorder_node"
+            )
         return answer.result, answer.status == GoalStatus.STATUS_SUCCEEDED
 
     def _end(self, goal: Any) -> Any:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S, SLOPE_LIMIT
+from tcbi_contract.wording import counted
 from tcbi_infer.bags.tracker import heading
 from tcbi_infer.errors import RecordingError
 from tcbi_sim.measurement import Scenario
@@ -92,6 +93,11 @@ def rollout_id(request: Request, index: int, now: float | None = None) -> str:
     second, fraction = divmod(time.time() if now is None else now, 1.0)
     day = time.strftime("%Y%m%d-%H%M%S", time.gmtime(second))
     return f"{request.task}-{day}-{int(1000 * fraction):03d}-s{request.seed}-{index:03d}"
+
+
+def recorded(number: int) -> str:
+    """What a collection answers where there is nothing more to say."""
+    return f"{counted(number, 'rollout')} recorded"
 
 
 def next_tick(nanoseconds: int) -> int:

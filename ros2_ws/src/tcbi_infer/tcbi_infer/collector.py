@@ -15,9 +15,8 @@ from std_srvs.srv import SetBool
 
 from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
-from tcbi_contract.wording import counted
 from tcbi_infer.bags.folder import RecordingFolder
-from tcbi_infer.collection import Request, as_it_is, check, next_tick, rollout_id, scenario_of
+from tcbi_infer.collection import Request, as_it_is, check, next_tick, recorded, rollout_id, scenario_of
 from tcbi_infer.collection_messages import begin_event, blocks_of, distance_between, request_of
 from tcbi_infer.errors import RecordingError
 from tcbi_msgs.action import CollectRollouts
@@ -37,6 +36,7 @@ STATUS_S = 3.0  # wall time for the policy node to say what is loaded
 FEEDBACK_S = 0.5  # wall time
 COMMAND_SILENCE_S = 1.0  # ROS time, five control periods
 HANDS_S = 2.0  # to discover whether somebody places the robot
+HELD_S = 5.0  # wall time for which a robot surely holds a reset's posture: half of the driver's hold_after_reset_s
 ASKED = 2  # times: the middleware drops the answer to a client that the service's end has not discovered yet
 # a real robot may be connecting still, or have missed a reply: tried so often, so far apart, but at first at once where
 # hands can free a leg
@@ -72,7 +72,7 @@ class Collector:
         self.node = node
         self.busy = False
         self._rollout_id = ""
-        self._hands_s = HANDS_S
+        self._hands_s = HANDS_S  # in the present collection; 0 once nobody has come
         self._ground_as_it_is = False  # in the present collection
         self._late_starts = 0  # in the present collection
         self._reset = node.create_client(ResetEpisode, names.RESET_EPISODE)
@@ -101,7 +101,7 @@ class Collector:
             await self._collect(goal, bags)
             as_found = f"; nobody offers {names.PLACE_ROBOT}: {GROUND_AS_IT_IS}" if self._ground_as_it_is else ""
             late = f"; in {self._late_starts} the policy came too late for its first tick" if self._late_starts else ""
-            result.success, result.message = True, f"{counted(len(bags), 'rollout')} recorded{late}{as_found}"
+            result.success, result.message = True, f"{recorded(len(bags))}{late}{as_found}"
             goal.succeed()
         except CancelledError as error:
             result.message = str(error)
@@ -118,7 +118,7 @@ class Collector:
     async def _collect(self, goal: Any, bags: list[Path]) -> None:
         request = request_of(goal.request)
         check(request)
-        self._ground_as_it_is, self._late_starts = False, 0
+        self._ground_as_it_is, self._late_starts, self._hands_s = False, 0, HANDS_S
         folder = self._folder(request)
         before, policy_id = self.node.policy_id, ""
         try:
@@ -157,7 +157,7 @@ class Collector:
         """Reset, record, end. The last start keeps a rollout whose policy comes too late, and says so in its END."""
         scenario = scenario_of(request, index)
         self._refuse_if_cancelled(goal)
-        reset, placed = await self._reset_episode(scenario, request.model)
+        reset, placed = await self._reset_episode(goal, scenario, request.model)
         if not placed:
             self._ground_as_it_is, scenario = True, as_it_is(request, scenario)
         begin = self._begin(reset.stamp)
@@ -176,7 +176,7 @@ class Collector:
                 if late and not last:
                     raise LateStartError(late)
             await self._act(goal, request, index, end)
-            return await self._end(event, end, request, late)
+            return await self._end(goal, event, end, request, late)
         except LateStartError as error:
             self.node.recorder.discard()
             await self._abort(event, str(error), request)
@@ -215,7 +215,7 @@ class Collector:
         """The policy in use: a training may have put another in its place since the collection began."""
         return "" if request.policy == NO_POLICY else self.node.policy_id
 
-    async def _end(self, event: RolloutEvent, end: int, request: Request, late: str) -> Path:
+    async def _end(self, goal: Any, event: RolloutEvent, end: int, request: Request, late: str) -> Path:
         node = self.node
         node.recorder.end(end, time.monotonic())
         await Until(lambda: node.recorder.rollout is None or node.recorder.settled(time.monotonic()))
@@ -225,7 +225,7 @@ class Collector:
             node.get_logger().warning(f"{event.rollout_id}: {late}; no repeat will be like it")
             self._late_starts += 1
         event.header.stamp = messages.to_stamp(end)
-        event.distance = await self._distance(request.distance_timeout_s or node.values.distance_timeout_s)
+        event.distance = await self._distance(goal, request.distance_timeout_s or node.values.distance_timeout_s)
         bag = node.close(event, end)
         if bag is None:
             raise RecordingError(node.fault)
@@ -244,13 +244,13 @@ class Collector:
             future = self._enable.call_async(SetBool.Request(data=False))
             await Until(future.done, node.values.service_timeout_s)
 
-    async def _distance(self, timeout_s: float) -> float:
-        """From the tracker; else what the operator enters in time; else unknown."""
+    async def _distance(self, goal: Any, timeout_s: float) -> float:
+        """From the tracker; else what the operator enters in time and before a cancelling; else unknown."""
         node = self.node
         if len(node.poses) > 1:
             return distance_between(node.poses[0], node.poses[-1])
         if timeout_s > 0:
-            await Until(lambda: node.distance is not None, timeout_s)
+            await Until(lambda: node.distance is not None or goal.is_cancel_requested, timeout_s)
         return math.nan if node.distance is None else node.distance
 
     def _require_recording(self) -> None:
@@ -299,7 +299,7 @@ class Collector:
             client.remove_pending_request(future)  # the answer to the last request counts, for it is carried out last
         raise RecordingError(f"{what} was not answered within {timeout_s:g} s; look at the log of {who}")
 
-    async def _reset_episode(self, scenario: Scenario, model: str) -> tuple[Any, bool]:
+    async def _reset_episode(self, goal: Any, scenario: Scenario, model: str) -> tuple[Any, bool]:
         """The answer to a reset, and whether ground and heading are the scenario's now."""
         request = ResetEpisode.Request(
             task=scenario.task,
@@ -312,36 +312,46 @@ class Collector:
             model=model,
             duration=scenario.duration,
         )
+        reset = await self._into_posture(goal, request)
+        if reset.source == "sim":
+            return reset, True
+        reached = time.monotonic()
+        stamp = await self._placed(goal, request)
+        if stamp is None:
+            return reset, False
+        if time.monotonic() - reached > HELD_S:  # it may have gone limp meanwhile
+            return await self._into_posture(goal, request), True
+        reset.stamp = stamp
+        return reset, True
+
+    async def _into_posture(self, goal: Any, request: Any) -> Any:
+        """The answer to a reset that has succeeded; a robot that fails it is tried again."""
         for tried in range(RESETS - 1):
             response = await self._answer(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
             if response.success or response.source == "sim":
-                return await self._placed(_succeeded(response, names.RESET_EPISODE), request)
+                return _succeeded(response, names.RESET_EPISODE)
             self.node.get_logger().warning(f"the robot is not ready ({response.message}); it is tried again")
             hands = self._place.service_is_ready()
             if tried or not hands:
                 await Until(lambda: False, PAUSE_S)
             if hands:  # that lift the robot free its legs
-                await self._placed(response, request)
-        response = await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
-        return await self._placed(response, request)
+                await self._placed(goal, request)
+        return await self._call(self._reset, request, names.RESET_EPISODE, "sim_node or driver_node")
 
-    async def _placed(self, reset: Any, request: Any) -> tuple[Any, bool]:
-        """Have the ground set where the robot cannot do it itself; the answer's stamp is the rollout's zero then."""
-        if reset.source == "sim":
-            return reset, True
+    async def _placed(self, goal: Any, request: Any) -> Any | None:
+        """Have the ground set, which a robot cannot do itself; the stamp when it was, None if nobody is there."""
         if not await Until(self._place.service_is_ready, self._hands_s):
             self._hands_s = 0.0  # nobody is there; do not wait again
             self.node.get_logger().warning(f"nobody offers {names.PLACE_ROBOT}: {GROUND_AS_IT_IS}")
-            return reset, False
-        future = self._place.call_async(request)
-        if not await Until(future.done, self.node.values.place_timeout_s):
-            raise RecordingError(f"{names.PLACE_ROBOT} was not answered within {self.node.values.place_timeout_s:g} s")
+            return None
+        future, timeout_s = self._place.call_async(request), self.node.values.place_timeout_s
+        if not await Until(lambda: future.done() or goal.is_cancel_requested, timeout_s):
+            raise RecordingError(f"{names.PLACE_ROBOT} was not answered within {timeout_s:g} s")
+        self._refuse_if_cancelled(goal)
         placed = _succeeded(future.result(), names.PLACE_ROBOT)
         if placed.stamp.sec or placed.stamp.nanosec:
-            reset.stamp = placed.stamp
-        else:
-            reset.stamp = self.node.get_clock().now().to_msg()
-        return reset, True
+            return placed.stamp
+        return self.node.get_clock().now().to_msg()
 
     async def _policy(self, request: Request) -> str:
         """Load the wanted policy, off for now; returns the name of the one that will act."""

@@ -74,9 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask the recorder of the graph; Ctrl-C aborts the rollout that runs and keeps those before."""
+    """Ask the recorder of the graph; Ctrl-C aborts the rollout that runs and keeps those that are over."""
     from tcbi_bringup.domain_lock import present_domain
-    from tcbi_infer.collection import Request, check
+    from tcbi_infer.collection import Request, check, recorded
 
     request = Request(
         task=args.task,
@@ -102,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         for bag in result.bags:
             print(bag)
+        if succeeded and result.message != recorded(len(result.bags)):
+            console.note(result.message)
     if not succeeded:
         from tcbi_infer.errors import RecordingError
 
@@ -194,7 +196,12 @@ def _place(request: Any) -> None:
             f"  block {s.x:.2f} x {s.y:.2f} x {s.z:.2f} m, its middle {c.x:.2f} m ahead and {c.y:.2f} m to the left, "
             f"turned by {math.degrees(block.yaw):.0f} degrees"
         )
-    print("place the robot, then press Enter: ", end="", file=sys.stderr, flush=True)
+    print(
+        "place the robot, then press Enter; if it has gone limp, it moves into its posture then: ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
     sys.stdin.readline()
 
 
