@@ -34,7 +34,7 @@ def write_rollouts(folder: Path, first: int, count: int) -> list[str]:
         rng = np.random.default_rng(i)
         commands = Commands(times, rng.uniform(-1, 1, (len(times), 1)))
         rollouts = simulate(model, truth, [Scenario("steps", 2.0, seed=i)], commands=[commands], timestep=0.005)
-        measured = rollouts.measurement(0, 0, f"steps_{i}", "steps")
+        measured = rollouts.measurement(0, 0, f"steps_{i}")  # by no policy that acts on what it sees
         write_measurement(folder, measured)
         ids.append(measured.rollout_id)
     return ids
@@ -132,6 +132,42 @@ def test_an_error_that_fell_is_reason_enough_for_a_training(start_graph, peer, n
     (why,) = [line for line in graph.tail("inference_node", 1000).splitlines() if "wants a training" in line]
     assert "the error on held-out rollouts fell by" in why and "moved" not in why
     server.destroy()
+
+
+def test_a_training_whose_server_dies_is_asked_for_again(start_graph, peer, node, tmp_path):
+    goals = []
+
+    def answer(goal):
+        goals.append(goal)
+        return GoalResponse.ACCEPT
+
+    def train(handle):
+        handle.succeed()
+        return Retrain.Result(success=True, message="trained")
+
+    def server(accepted):
+        return ActionServer(
+            peer.node, Retrain, names.RETRAIN, train, goal_callback=answer, handle_accepted_callback=accepted
+        )
+
+    def said(words):
+        return words in graph.tail("inference_node", 1000)
+
+    write_rollouts(tmp_path / "bags", 0, 6)
+    first = server(lambda handle: None)  # accepts, and is never heard of again
+    graph = start_graph(node)
+    peer.wait_until(lambda: len(goals) == 1, "the first goal", WORK_S)
+    peer.comes(lambda: False, 1.0)
+    first.destroy()
+    second = server(lambda handle: None)  # so soon that no absence is seen
+    peer.wait_until(lambda: len(goals) == 2, "the goal, once more")
+    assert said(f"knows no training on {RIG}-v1")
+    second.destroy()
+    peer.wait_until(lambda: said("the retrain server has gone"), "the absence")
+    third = server(lambda handle: handle.execute())
+    peer.wait_until(lambda: said(f"training on {RIG}-v1: trained"), "the end of the training")
+    assert len(goals) == 3 and goals[0] == goals[1] == goals[2]
+    third.destroy()
 
 
 def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node, tmp_path):

@@ -286,7 +286,7 @@ def test_another_programs_events_are_recorded_too(start_graph, peer, tmp_path):
     assert len(m.time) == 51 and m.distance == 0.75 and m.joint_position[0, 0] == 0.5 and m.source == "lab"
 
 
-@pytest.mark.parametrize("rate", [1.0, 5.0])
+@pytest.mark.parametrize("rate", [1.0, 5.0, 500.0])
 def test_a_replay_gives_back_the_same_bytes_and_the_recordings_clock(start_graph, peer, tmp_path, rate):
     bag = made_bag(tmp_path)
     heard: list[bytes] = []

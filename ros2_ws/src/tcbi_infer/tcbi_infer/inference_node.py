@@ -7,13 +7,16 @@ enough since the last training.
 
 import math
 import time
+import uuid
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.action.client import ClientGoalHandle
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -37,6 +40,9 @@ from tcbi_sim.store import LATEST, ModelStore
 DIAGNOSIS_POLL_S = 0.1
 ENDING_S = 6.0  # for a diagnosis to end with the node
 BUSY_S = 10.0  # before a busy retrain server is asked again
+FOLLOW_S = 0.5  # between two looks at a training
+ASK_AGAIN_S = 4.0  # without feedback, for a training's end; its server keeps that for 10 s
+GONE_S = 5.0  # without the retrain server, until its training is given up
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,37 @@ class InferenceParameters:
     poll_s: float = parameter(1.0, "how often to look for finished bags and for the worker's news", low=0.05, high=60.0)
 
 
+@dataclass
+class Training:
+    """One that was asked for, until its end is known; instants in s of the steady clock."""
+
+    goal: Retrain.Goal
+    handle: ClientGoalHandle
+    answer: Any = None  # a future: whether the goal is accepted
+    ends: list[Any] = field(default_factory=list)  # futures of its end, which is asked for again and again
+    heard: float = field(default_factory=time.monotonic)  # of it, or asked after it
+    served: float = field(default_factory=time.monotonic)  # the server was there
+
+    def hear(self, _: Any) -> None:
+        """It has told of its progress."""
+        self.heard = time.monotonic()
+
+    def ask(self) -> None:
+        """Ask for its end: the middleware may lose a question or its answer."""
+        self.ends.append(self.handle.get_result_async())
+        self.heard = time.monotonic()
+
+    @property
+    def refused(self) -> bool:
+        """Whether the server has not accepted it."""
+        return bool(self.answer.done() and not self.answer.result().accepted)
+
+    @property
+    def end(self) -> Any | None:
+        """Its status and result; None while it runs."""
+        return next((future.result() for future in self.ends if future.done()), None)
+
+
 class InferenceNode(Node):
     """One worker at a time; no callback waits for it but the diagnose action's, which has a thread of its own."""
 
@@ -88,7 +125,8 @@ class InferenceNode(Node):
         self._news: dict[str, Any] = {}
         self._warned: set[str] = set()  # each inference reads all bags again and says the same of them
         self._state, self._fault = "waiting for rollouts", ""
-        self._training = self._diagnosing = self._closing = False
+        self._diagnosing = self._closing = False
+        self._training: Training | None = None
         self._wish: Retrain.Goal | None = None  # for a training; a later one takes its place
         self._ask_after = 0.0  # s of the steady clock
         self._open()
@@ -112,6 +150,7 @@ class InferenceNode(Node):
         )  # fmt: skip
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self.values.poll_s, self._on_poll, clock=steady, callback_group=rest)
+        self.create_timer(FOLLOW_S, self._see_to_training, clock=steady, callback_group=rest)
         self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._report, clock=steady, callback_group=rest)
         self.get_logger().info(f"watches {self._folder.path}, model {self._model}")
 
@@ -128,7 +167,6 @@ class InferenceNode(Node):
                 self._on_news(event)
         if self._worker is None and self._due():
             self._start()
-        self._ask_for_training()
 
     def _due(self) -> bool:
         fitted = len(self._folder.fitted)
@@ -207,27 +245,48 @@ class InferenceNode(Node):
         if not self._retrain.server_is_ready():
             self.get_logger().warning("no retrain server runs; it is asked as soon as one does")
 
-    def _ask_for_training(self) -> None:
-        """Send the last wish, once a server is there and no training runs."""
-        now = time.monotonic()
-        if self._wish is None or self._training or now < self._ask_after or not self._retrain.server_is_ready():
-            return
-        goal, self._wish, self._training = self._wish, None, True
-        self.get_logger().info(f"asks for a training on {goal.model}")
-        self._retrain.send_goal_async(goal).add_done_callback(lambda f: self._on_accepted(f, goal))
+    def _see_to_training(self) -> None:
+        """Follow the training that runs; without one, send the last wish once a server is there."""
+        if self._training is not None:
+            self._follow(self._training)
+        elif self._wish is not None and time.monotonic() >= self._ask_after and self._retrain.server_is_ready():
+            goal, self._wish = self._wish, None
+            self.get_logger().info(f"asks for a training on {goal.model}")
+            self._training = self._sent(goal)
 
-    def _on_accepted(self, future: Any, goal: Retrain.Goal) -> None:
-        handle = future.result()
-        if not handle.accepted:
-            self._training, self._ask_after = False, time.monotonic() + BUSY_S
-            self._wish = self._wish or goal
-            self.get_logger().warning(f"the retrain server is busy; asked again in {BUSY_S:.0f} s")
-            return
-        handle.get_result_async().add_done_callback(lambda f: self._on_trained(f, goal.model))
+    def _sent(self, goal: Retrain.Goal) -> Training:
+        """A goal that is on its way, under an id by which its end can be asked for even if no answer comes."""
+        goal_id = Retrain.Impl.SendGoalService.Request().goal_id
+        goal_id.uuid = list(uuid.uuid4().bytes)
+        accepted = Retrain.Impl.SendGoalService.Response(accepted=True)
+        training = Training(goal, ClientGoalHandle(self._retrain, goal_id, accepted))
+        training.answer = self._retrain.send_goal_async(goal, feedback_callback=training.hear, goal_uuid=goal_id)
+        return training
 
-    def _on_trained(self, future: Any, model: str) -> None:
-        self._training = False
-        result = future.result().result
+    def _follow(self, training: Training) -> None:
+        """Take a training's end, or notice that its server has been started anew, or has gone."""
+        now, end = time.monotonic(), training.end
+        if self._retrain.server_is_ready():
+            training.served = now
+        if training.refused:
+            self._ask_after = now + BUSY_S
+            self._wish_again(training, f"the retrain server is busy; asked again in {BUSY_S:.0f} s")
+        elif end is not None and end.status == GoalStatus.STATUS_UNKNOWN:
+            self._wish_again(training, f"the retrain server knows no training on {training.goal.model}; asked again")
+        elif end is not None:
+            self._on_trained(training.goal.model, end.result)
+        elif now - training.served > GONE_S:
+            self._wish_again(training, "the retrain server has gone; it is asked again as soon as it is back")
+        elif now - training.heard > ASK_AGAIN_S or (training.answer.done() and not training.ends):
+            training.ask()
+
+    def _wish_again(self, training: Training, why: str) -> None:
+        """Give a training up; the same goal goes on from its last checkpoint, unless there is a later wish."""
+        self._training, self._wish = None, self._wish or training.goal
+        self.get_logger().warning(why)
+
+    def _on_trained(self, model: str, result: Retrain.Result) -> None:
+        self._training = None
         if result.success:
             self._trained_on = model
         self.get_logger().info(f"training on {model}: {result.message}")
@@ -327,7 +386,7 @@ class InferenceNode(Node):
             "model": self._model,
             "rollouts to fit": len(self._folder.fitted),
             "rollouts held out": len(self._folder.held_out),
-            "training": self._training,
+            "training": self._training is not None,
             "training wanted": self._wish is not None,
         }
         status.values = [KeyValue(key=key, value=str(value)) for key, value in facts.items()]

@@ -1,15 +1,18 @@
 """Publishes a bag's messages again, byte for byte, with the contract's QoS and with /clock, at any speed.
 
 The nodes that listen run with use_sim_time: on their clock everything happens as it did, however fast it is played.
+No more is published at once than half of a queue, and the rest once the listeners' middleware has it.
 """
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 
@@ -21,9 +24,12 @@ from tcbi_infer.errors import BagError
 from tcbi_infer.interfaces import STREAMS
 from tcbi_infer.player import Cue, schedule
 from tcbi_msgs.msg import RolloutEvent
+from tcbi_sim.prompt_acks import ask_for_prompt_acks
 
 PERIOD_S = 0.005  # wall time between two looks at the schedule
 CLOCK_STEP_NS = 10_000_000  # /clock at 100 Hz of the recording's time
+LISTENERS_S = 0.1  # wall time for what is published at once, where a listener confirms nothing
+NOW = Duration(seconds=0)
 LINGER_S = 1.0  # wall time that the last messages have to arrive before the node ends
 
 
@@ -57,6 +63,9 @@ class ReplayNode(Node):
         self._clock_publisher: Any = None
         if self.values.publish_clock:
             self._clock_publisher = self.create_publisher(ClockMessage, names.CLOCK, messages.STREAM_QOS)
+        self._unheard: Counter[str] = Counter()  # messages of each topic since all were known to have arrived
+        self._held = False  # there is more to publish, once they have arrived
+        self._counted_from = 0.0  # s of the steady clock
         self.published = 0
         self.finished = False
         self._next = 0
@@ -68,9 +77,8 @@ class ReplayNode(Node):
         self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _publisher(self, name: str) -> Any:
-        if name == names.ROLLOUT_EVENT:
-            return self.create_publisher(RolloutEvent, name, messages.LATCHED_QOS)
-        return self.create_publisher(STREAMS[name], name, messages.STREAM_QOS)
+        kind = RolloutEvent if name == names.ROLLOUT_EVENT else STREAMS[name]
+        return self.create_publisher(kind, name, _qos(name))
 
     def _ready(self) -> bool:
         listened = self._publishers_of.get(names.JOINT_STATES) or next(iter(self._publishers_of.values()))
@@ -85,21 +93,37 @@ class ReplayNode(Node):
         if self._began is None:
             if not self._ready():
                 return
-            self._began = time.monotonic()
+            self._began = self._counted_from = time.monotonic()
         elapsed = (time.monotonic() - self._began) * self.values.rate
         self._play_until(self.schedule.start + round(elapsed * 1e9))
 
     def _play_until(self, now: int) -> None:
         cues = self.schedule.cues
+        if self._held and not self._heard():
+            return
         while self._next < len(cues) and cues[self._next].time <= now:
+            if self._unheard[cues[self._next].topic] >= _most(cues[self._next].topic):
+                self._held = True
+                return
             self._send(cues[self._next])
         self._tell(min(now, self.schedule.end))
         if self._next == len(cues):
             self._end()
 
+    def _heard(self) -> bool:
+        """Whether the listeners' middleware has all that was published, or has had its time."""
+        now = time.monotonic()
+        patient = now - self._counted_from < LISTENERS_S
+        if patient and not all(p.wait_for_all_acked(NOW) for p in self._publishers_of.values()):
+            return False
+        self._unheard.clear()
+        self._held, self._counted_from = False, now
+        return True
+
     def _send(self, cue: Cue) -> None:
         self._tell(cue.time, CLOCK_STEP_NS)
         self._publishers_of[cue.topic].publish(cue.data)
+        self._unheard[cue.topic] += 1
         self.published += 1
         self._next += 1
 
@@ -119,8 +143,18 @@ class ReplayNode(Node):
         self._shift += self.schedule.end - self.schedule.start + CLOCK_STEP_NS
 
 
+def _qos(name: str) -> Any:
+    return messages.LATCHED_QOS if name == names.ROLLOUT_EVENT else messages.STREAM_QOS
+
+
+def _most(name: str) -> int:
+    """Messages of a topic to publish before its listeners' middleware has had time."""
+    return max(1, int(_qos(name).depth) // 2)
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point."""
+    ask_for_prompt_acks()
     try:
         return run("replay_node", ReplayNode, args)
     except SystemExit as end:

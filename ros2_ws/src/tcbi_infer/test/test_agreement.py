@@ -1,6 +1,7 @@
 """Whether the kinds of motion agree on a parameter: planted differences are told, ordinary errors are not."""
 
 import dataclasses
+import types
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,15 +10,19 @@ from bench_recordings import BASE, record
 
 from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.signals import CONTACT, JOINT, RATE, Channel, Group, Layout
 from tcbi_infer.diagnose import adopt
 from tcbi_infer.diagnose.agreement import LEAST_KINDS, agreement, disagreeing
 from tcbi_infer.diagnose.evidence import Agreement
-from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import base_model
+from tcbi_sim.parameter import Parameter
 
 MODEL = base_model("servo_bench")
+EQUAL, MIXED = (150,) * 7, (60, 150, 90, 240, 130, 250, 75)  # samples of seven kinds of motion
 
 
 def told(recordings: Sequence[Measurement]) -> dict[str, Agreement]:
@@ -73,6 +78,75 @@ def test_errors_that_have_nothing_to_do_with_a_parameter_are_no_disagreement(sam
 def test_too_few_kinds_of_motion_tell_nothing(same):
     few = told(same[: 2 * (LEAST_KINDS - 1)])
     assert {a.agrees for a in few.values()} == {None} and not disagreeing(list(few.values()))
+
+
+class Synthetic:
+    """Kinds of motion of some lengths (in samples); one parameter acts on one kind of signal, and is known well."""
+
+    def __init__(self, lengths: Sequence[int], group: Group, seed: int) -> None:
+        layout = Layout(("a",), ("l",), tuple(Channel(g.name, g, 0) for g in (JOINT, RATE, CONTACT)))
+        observed = np.zeros((len(lengths), max(lengths), 3))
+        for s, length in enumerate(lengths):
+            observed[s, length:] = np.nan
+        weight = (layout.kept(max(lengths)) & np.isfinite(observed)).astype(float)
+        measurements = [types.SimpleNamespace(policy_id=f"motion{s}") for s in range(len(lengths))]
+        sets = [types.SimpleNamespace(members=(s,)) for s in range(len(lengths))]
+        replay = types.SimpleNamespace(layout=layout, measurements=measurements, replicates=sets)
+        self.problem = Problem(replay, observed, weight, np.ones(3), np.arange(3), np.ones(3), np.arange(len(sets)))
+        self.acts = np.array([c.group is group for c in layout.channels], float)
+        self.rng = np.random.default_rng(seed)
+
+    def smooth(self) -> np.ndarray:
+        """(S, T, C) of unit variance, correlated over some ten samples."""
+        decay = np.exp(-np.arange(30) / 4.0)
+        white = self.rng.normal(size=(*self.problem.observed.shape[::2], self.problem.observed.shape[1] + 29))
+        windows = np.lib.stride_tricks.sliding_window_view(white, 30, axis=-1)
+        return np.swapaxes(windows @ (decay / np.linalg.norm(decay)), 1, 2)
+
+    def told(self, signature: np.ndarray, error: np.ndarray) -> Agreement:
+        """What is said after a fit to recordings that err by `error` (S, T, C)."""
+        problem, sets, none = self.problem, np.arange(len(self.problem.observed)), Nuisance.none(self.problem)
+        model = types.SimpleNamespace(parameters=(Parameter("size", "1", -1.0, 1.0, 0.0),))
+        residual, scale, slopes = problem.residual(-error), np.ones(3), (signature * self.acts)[..., None]
+        bend = np.zeros_like(residual)
+        precision = Fitter(problem, model, none, sets, 0.0).precision(residual, scale, bend)
+        normal, slope = gram(slopes, residual, precision)
+        unit, square, loss = np.array([0.5]), np.zeros(len(sets)), np.zeros(len(sets))
+        fit = Fit(model, unit, np.zeros(0), -error, residual, loss, scale, normal, slope, square, slopes, bend, True)
+        return agreement(problem, fit, none, sets, np.array([[1e-4]]), int(self.rng.integers(2**31)))[0]
+
+
+@pytest.mark.parametrize(("group", "lengths"), [(RATE, MIXED), (CONTACT, EQUAL), (CONTACT, MIXED)])
+def test_errors_of_averaged_signals_raise_no_more_alarms_than_the_level_says(group, lengths):
+    """Of 120 at 1 % more than 6 are due to chance once in 3000 times."""
+    data = Synthetic(lengths, group, seed=1)
+    p = [data.told(100 * data.smooth(), data.smooth()).p for _ in range(120)]
+    assert sum(value < 0.01 for value in p) <= 6
+
+
+@pytest.mark.parametrize("group", [JOINT, RATE, CONTACT])
+@pytest.mark.parametrize("lengths", [EQUAL, MIXED])
+def test_a_difference_between_motions_that_only_averaged_signals_show_is_told(group, lengths):
+    data = Synthetic(lengths, group, seed=2)
+    signature, other = 30 * data.smooth(), np.where(np.arange(7) % 2, 0.08, -0.08)[:, None, None]
+    found = data.told(signature, data.smooth() + other * signature * data.acts)
+    assert found.agrees is False and "no one value holds" in found.statement
+
+
+@pytest.mark.parametrize("lengths", [EQUAL, MIXED])
+def test_of_a_parameter_that_does_the_same_at_all_times_nothing_is_told(lengths):
+    """Neither where the kinds differ by ten times their errors, nor where errors have heavy tails."""
+    data = Synthetic(lengths, RATE, seed=3)
+    for apart in (0.0, 1.0, 5.0):
+        error = data.smooth() * np.exp(data.smooth()) + np.where(np.arange(7) % 2, apart, -apart)[:, None, None]
+        found = data.told(np.full(error.shape, 100.0), error)
+        assert (found.agrees, found.p, len(found.kinds)) == (None, None, 7)
+        assert "cannot be told" in found.statement and not disagreeing([found])
+
+
+def test_motions_too_short_to_be_shifted_tell_nothing():
+    data = Synthetic((40, 35, 44), RATE, seed=4)
+    assert data.told(100 * data.smooth(), data.smooth()).agrees is None
 
 
 def diagnosis(agrees: bool | None, parameter: str = "backlash.gap") -> dict:

@@ -12,6 +12,9 @@ from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.signals import ATTITUDE, JOINT, RATE
 from tcbi_infer.diagnose.diagnosis import _Run
+from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.heldout import held_out
+from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import base_model
 
 MODEL = base_model("hexapod")
@@ -98,15 +101,24 @@ def test_compare_says_it_of_stamps_that_are_all_late_and_of_nothing_else():
 
 @pytest.mark.parametrize(("by", "count"), [(0.0, 0), (0.08, 1)])
 def test_a_diagnosis_guards_against_it_on_held_out_motions(replay, by, count):
+    """Though residuals of averaged signals are zero at all samples but one of an average."""
     sets = np.arange(len(replay.replicates))
     observed = np.stack([delayed(replay, by)[g.members[0]] for g in replay.replicates])
     said = np.stack([replay.measured[g.members[0]] for g in replay.replicates])
-    run = types.SimpleNamespace(
-        problem=types.SimpleNamespace(observed=observed), replay=replay, sets=sets, measurements=replay.measurements
-    )
-    judged = types.SimpleNamespace(held=types.SimpleNamespace(residual=observed - said))
+    problem = dataclasses.replace(Problem.of(replay, replay.layout.floor()), observed=observed)
+    run = types.SimpleNamespace(problem=problem, replay=replay, sets=sets, measurements=replay.measurements)
+    judged = types.SimpleNamespace(held=types.SimpleNamespace(residual=problem.residual(said), predicted=said))
     late = [g for g in _Run._guards(run, judged, {}) if "come 80 ms later than predicted" in g]
     assert len(late) == count
+
+
+def test_what_is_predicted_of_held_out_motions_is_kept_at_every_sample(replay):
+    problem, sets = Problem.of(replay, replay.layout.floor()), np.arange(len(replay.replicates))
+    none, mean = Nuisance.none(problem), MODEL.mean()[None]
+    fit = Fitter(problem, MODEL, none, sets, 0.005).run(to_unit(MODEL, mean), steps=())
+    held = held_out(problem, fit, none, sets, 0.005)
+    assert held.predicted == pytest.approx(replay.predict(MODEL, mean, timestep=0.005)[0], abs=1e-6)
+    assert np.array_equal(problem.residual(held.predicted), held.residual)
 
 
 @pytest.mark.parametrize("effect", ["command_latency", "sensor_latency"])
@@ -116,7 +128,7 @@ def test_a_diagnosis_says_that_a_latency_it_fitted_may_be_a_late_clock(effect):
     observed = np.stack([late.measured[g.members[0]] for g in late.replicates])
     model = MODEL.with_effect(effect)
     fit = types.SimpleNamespace(model=model, parameters=np.append(MODEL.mean(), 0.08))
-    nothing_left = types.SimpleNamespace(residual=np.zeros_like(observed))
+    nothing_left = types.SimpleNamespace(predicted=observed)
     run = types.SimpleNamespace(
         problem=types.SimpleNamespace(observed=observed),
         replay=late,

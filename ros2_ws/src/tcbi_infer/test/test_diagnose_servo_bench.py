@@ -106,6 +106,19 @@ def test_one_kind_of_motion_tells_nothing():
     diagnosis = diagnose(base_model("servo_bench"), sines, uses=CANDIDATES)
     assert (diagnosis.verdict, diagnosis.effects) == ("cannot_tell", ())
     assert "one kind of motion" in diagnosis.statement and "held out in turn" not in " ".join(diagnosis.claims)
+    assert "no candidate was tried" in diagnosis.statement and diagnosis.nothing_held_out
+    told = diagnosis.to_json()
+    assert told["ranking"] == [] and told["threshold"] is None and told["kinds"] == 1
+    report = Report("What does the model lack?")
+    add_diagnosis(report, diagnosis)
+    assert "Nothing was held out" in report.html() and "Every effect of the library was tried" not in report.html()
+
+
+def test_one_kind_of_motion_is_enough_to_fit_the_one_effect_that_is_asked_for():
+    truth = base_model("servo_bench").with_effect("command_latency")
+    found = adopt.fit_effect(base_model("servo_bench"), "command_latency", record(truth, np.r_[BASE, 0.06])[:2])
+    assert (found.verdict, found.effects) == ("cannot_tell", ()) and found.nothing_held_out
+    assert adopted(found).mean()[-1] == pytest.approx(0.06, abs=0.02)
 
 
 def test_twins_that_only_body_sensors_could_tell_apart_are_not_told_apart():

@@ -2,17 +2,21 @@
 
 import numpy as np
 import pytest
+from bench_recordings import BASE, motions, record
 from legged_cases import walk
 
 from tcbi_infer.compare import replay as replay_module
 from tcbi_infer.compare.comparison import compare, error_figure
+from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.ladder import explained
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split
-from tcbi_infer.diagnose import paired
+from tcbi_infer.diagnose import diagnose, paired
+from tcbi_infer.diagnose.evidence import NOT_CONVERGED
 from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.judge import Judge
 from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.settings import QUICK
 from tcbi_infer.report import Report, add_comparison
 from tcbi_sim.model import base_model
 
@@ -96,3 +100,53 @@ def test_where_only_the_base_model_diverges_the_kind_is_trimmed_as_any_large_gai
 
 def test_no_share_is_explained_of_an_infinite_error():
     assert np.isnan(explained(np.inf, 1.2)) and np.isnan(explained(3.0, np.inf))
+
+
+def diverge_in(monkeypatch, names):
+    """From now on every replay of some motions of the bench diverges."""
+    simulate, targets = replay_module.simulate, [motions()[name] for name in names]
+
+    def broken(model, parameters, scenarios, *, commands, **options):
+        out = simulate(model, parameters, scenarios, commands=commands, **options)
+        for s, asked in enumerate(commands):
+            out.diverged[:, s] |= any(np.array_equal(asked.target[:, 0], target) for target in targets)
+        return out
+
+    monkeypatch.setattr(replay_module, "simulate", broken)
+
+
+def test_a_motion_that_diverges_wherever_the_fit_could_start_is_left_out_and_named(monkeypatch):
+    bench = base_model("servo_bench")
+    late = record(bench.with_effect("command_latency"), np.r_[BASE, 0.06])
+    late = [m for m in late if m.policy_id in ("fast", "steps", "chirp", "saw")]
+    diverge_in(monkeypatch, ["fast"])
+    found = diagnose(bench, late, uses=("command_latency",), settings=QUICK)
+    assert (found.verdict, found.uses, found.kinds) == ("effect", ("command_latency",), 3)
+    (told,) = [g for g in found.guards if "diverges" in g]
+    assert "(fast_0, fast_1)" in told and found.claims[0].startswith("3 kinds of motion were held out in turn")
+    assert np.isfinite(found.misfit.total) and found.base.converged
+
+
+def test_a_fit_that_diverges_in_one_motion_or_another_wherever_it_goes_tells_nothing(monkeypatch):
+    bench, simulate = base_model("servo_bench"), replay_module.simulate
+    (gain, *_), steps = bench.parameters, motions()["steps"]
+
+    def broken(model, parameters, scenarios, *, commands, **options):
+        out = simulate(model, parameters, scenarios, commands=commands, **options)
+        stiff = gain.to_unit(np.atleast_2d(parameters)[:, 0]) > 0.45
+        for s, asked in enumerate(commands):
+            out.diverged[:, s] |= stiff == np.array_equal(asked.target[:, 0], steps)
+        return out
+
+    monkeypatch.setattr(replay_module, "simulate", broken)
+    rollouts = [m for m in record(bench, BASE) if m.policy_id in ("steps", "saw")]
+    found = diagnose(bench, rollouts, uses=("command_latency",), settings=QUICK)
+    assert (found.verdict, found.uses, found.ranking) == ("cannot_tell", (), ())
+    assert found.headline == NOT_CONVERGED and not found.nothing_held_out
+
+
+def test_where_every_motion_diverges_that_is_told_instead_of_a_verdict(monkeypatch):
+    bench = base_model("servo_bench")
+    diverge_in(monkeypatch, list(motions()))
+    with pytest.raises(CompareError, match=r"diverges in every motion.*\(sine_0, sine_1, fast_0 and 11 more\)"):
+        diagnose(bench, record(bench, BASE), uses=("backlash",), settings=QUICK)

@@ -7,9 +7,12 @@ import pytest
 from bench_recordings import BASE, record
 
 from tcbi_contract.names import JOINT_LIMIT, JOINTS
+from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import Diagnosis, diagnose
-from tcbi_infer.diagnose.excitation import TELLING, advice
+from tcbi_infer.diagnose.excitation import TELLING, advice, expected_ratio, planted
+from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.motions import ready_motions, standard_motions
+from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.settings import QUICK
 from tcbi_infer.errors import InferError
 from tcbi_sim.measurement import Commands, Measurement, Scenario
@@ -46,6 +49,30 @@ def test_the_most_telling_motion_comes_first_with_the_commands_to_play(unsure):
     time, target = np.array(told[0].table).T
     assert not told[0].command and np.all(np.diff(time) > 0) and np.ptp(target) > 0.1
     assert unsure.to_json()["next_motions"][0]["table"]
+
+
+@pytest.mark.parametrize(("lost", "told"), [((0, 1), 0.0), ((1,), np.inf)])
+def test_a_probe_that_diverges_in_one_ready_motion_does_not_count_against_the_others(monkeypatch, lost, told):
+    model = base_model("servo_bench")
+    replay = Replay.of(model, record(model, BASE)[:4])
+    problem = Problem.of(replay, replay.noise_floor(np.zeros_like(replay.measured)).values)
+    fitter = Fitter(problem, model, Nuisance.none(problem), np.arange(2), 0.005)
+    base = fitter.run(to_unit(model, BASE)[None], steps=(0.02,))
+    truth = planted(base, HEAVY, None)
+    motions = ready_motions(load_rig(model.rig), replay.measurements)[:3]
+    whole = expected_ratio(problem, truth, base, motions, 0.005)
+    predict = Fitter.predict
+
+    def broken(self, unit):
+        predicted = predict(self, unit)
+        if len(predicted) > 1:
+            predicted[list(lost), 1] = np.nan
+        return predicted
+
+    monkeypatch.setattr(Fitter, "predict", broken)
+    found = expected_ratio(problem, truth, base, motions, 0.005)
+    assert found[[0, 2]] == pytest.approx(whole[[0, 2]]) and whole.min() > 0.0
+    assert found[1] <= told and (told == 0.0 or found[1] > 0.0)
 
 
 def recorded(policy_id: str, rig: str = "hexapod", targets: np.ndarray | None = None) -> Measurement:

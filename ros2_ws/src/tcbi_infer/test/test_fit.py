@@ -1,5 +1,7 @@
 """Fits of a servo bench whose truth is known, from starts near and far."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from bench_recordings import BASE, record
@@ -7,7 +9,9 @@ from bench_recordings import BASE, record
 from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.heldout import held_out
 from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.screen import simulate_directions
 from tcbi_sim.model import base_model
 
 MODEL = base_model("servo_bench")
@@ -52,3 +56,72 @@ def test_a_longer_step_is_tried_where_the_whole_one_is_good_and_a_shorter_one_wh
         at_start, slopes, whole, other = tried
         assert len(at_start) == len(whole) == len(other) == 1 and len(slopes) == 6
         assert (np.linalg.norm(other - start) > np.linalg.norm(whole - start)) == longer
+
+
+LOST = 2  # the motion that diverges
+
+
+def diverge(monkeypatch, which):
+    """From now on one motion diverges in predictions of a model whose (N, P) parameters `which` finds, (N,)."""
+    predict = Replay.predict
+
+    def broken(self, model, parameters, sets=None, timestep=0.002):
+        predicted = predict(self, model, parameters, sets, timestep)
+        if LOST in (sets or ()):
+            predicted[which(model, np.atleast_2d(parameters)), list(sets).index(LOST)] = np.nan
+        return predicted
+
+    monkeypatch.setattr(Replay, "predict", broken)
+
+
+def everywhere(model, parameters):
+    return np.ones(len(parameters), bool)
+
+
+def test_a_motion_that_diverges_at_the_point_itself_costs_the_others_no_slopes(fitter, monkeypatch):
+    unit = to_unit(MODEL, BASE)
+    slopes, bend = fitter.slopes(unit, fitter.predict(unit)[0], 0.05)
+    diverge(monkeypatch, everywhere)
+    left, departure = fitter.slopes(unit, fitter.predict(unit)[0], 0.05)
+    others = np.arange(len(slopes)) != LOST
+    np.testing.assert_array_equal(left[others], slopes[others])
+    np.testing.assert_array_equal(departure[others], bend[others])
+    assert not left[LOST].any() and not departure[LOST].any()
+
+
+def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter, monkeypatch):
+    fitter = Fitter(fitter.problem, MODEL, fitter.nuisance, fitter.sets, 0.005)
+    good = dataclasses.replace(fitter.run(to_unit(MODEL, BASE)[None], steps=()), converged=True)
+    assert fitter.polish(good).converged
+    diverge(monkeypatch, everywhere)
+    fit = fitter.run(np.array([[0.5, 0.5, 0.5]]), steps=(0.05, 0.03))
+    assert fit.total == np.inf and not fit.converged
+    assert np.isfinite(fit.unit).all() and np.isfinite(fit.normal).all() and np.isfinite(fit.square).all()
+    assert not fitter.polish(good).converged
+
+
+def test_a_use_that_diverges_at_every_size_is_not_said_to_change_nothing(fitter, monkeypatch):
+    base = fitter.run(to_unit(MODEL, BASE)[None], steps=())
+    diverge(monkeypatch, lambda model, parameters: np.full(len(parameters), "backlash" in model.effects))
+    uses = ("backlash", "command_latency")
+    found = simulate_directions(fitter.problem, base, fitter.nuisance, uses, fitter.sets, 0.005)
+    assert (found.uses, found.untestable, found.diverging) == (("command_latency",), (), ("backlash",))
+
+
+def test_uses_show_in_the_motions_in_which_the_base_model_does_not_diverge(fitter, monkeypatch):
+    base = fitter.run(to_unit(MODEL, BASE)[None], steps=())
+    diverge(monkeypatch, everywhere)
+    found = simulate_directions(fitter.problem, base, fitter.nuisance, ("backlash",), fitter.sets, 0.005)
+    assert found.uses == ("backlash",) and not (found.untestable or found.diverging)
+    assert not found.change[:, LOST].any() and found.change.any()
+
+
+def test_a_single_kind_of_motion_is_predicted_by_its_own_fit_with_the_scatter_between_joints(fitter):
+    shift = 0.02 * np.sin(np.arange(fitter.problem.observed.shape[1]))[:, None]
+    shifted = dataclasses.replace(fitter.problem, observed=fitter.problem.observed + 2.0 * shift)
+    scatter = Nuisance(np.broadcast_to(shift[..., None], (*shifted.observed.shape, 1)), ("joint",))
+    one = np.array([LOST])
+    fit = Fitter(shifted, MODEL, scatter, one, 0.002).run(to_unit(MODEL, BASE)[None], steps=(0.02,))
+    held = held_out(shifted, fit, scatter, one, 0.002)
+    assert fit.nuisance[0] > 1.0 and held.unit[0] == pytest.approx(fit.unit)
+    np.testing.assert_allclose(held.residual, fit.residual, atol=1e-6)

@@ -77,7 +77,19 @@ def test_the_headline_is_no_surer_than_the_verdict():
     unsure = (dataclasses.replace(NAMED, accepted=False), OTHER)
     assert headline() == "An effect is missing, but which one cannot be told"
     assert headline(ranking=unsure) == "An effect may be missing"
-    assert headline(ranking=unsure, effects=(), uses=()) == "These rollouts cannot tell"
+    assert headline(ranking=(), effects=(), uses=(), kinds=1) == "These rollouts cannot tell"
+
+
+def test_a_fit_that_did_not_converge_has_a_headline_of_its_own_and_its_errors_are_of_held_out_motions():
+    stuck = dataclasses.replace(NAMED, use="", converged=False, accepted=False, held_out=(6.0, 6.0))
+    doubted = dataclasses.replace(DIAGNOSIS, verdict="cannot_tell", base=stuck, kinds=7)
+    nameless = dataclasses.replace(doubted, effects=(), uses=(), ranking=())
+    assert doubted.headline == nameless.headline == "The fit of the model did not converge"
+    assert not nameless.nothing_held_out and nameless.to_json()["nothing_held_out"] is False
+    assert nameless.to_json()["kinds"] == 7 and dataclasses.replace(nameless, kinds=1).nothing_held_out
+    well = dataclasses.replace(stuck, held_out=(1.4, 1.4))
+    unsure = (dataclasses.replace(NAMED, accepted=False),)
+    assert dataclasses.replace(doubted, base=well, ranking=unsure).headline == "An effect may be missing"
 
 
 def test_figures_take_the_colour_of_the_page_and_share_no_ids():

@@ -44,7 +44,7 @@ def ruled(*found: Evidence, base_error: float = 6.0, kinds: int = 6, unfitted: f
     for e in found:
         accepted, reason = accept(e, 3.0, unfitted)
         judged.append(dataclasses.replace(e, accepted=accepted, reason=reason))
-    return rule(ranked(judged), everywhere(base_error, kinds), kinds, everywhere(unfitted, kinds))
+    return rule(ranked(judged), everywhere(base_error, kinds), kinds, everywhere(unfitted, kinds), unseen=unfitted)
 
 
 def test_the_only_candidate_that_passes_is_named():
@@ -136,6 +136,21 @@ def test_a_large_error_that_an_uncertain_candidate_would_explain_is_left_open():
     assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("backlash",))
 
 
+def test_what_a_candidate_explains_is_told_of_the_motions_on_which_it_was_judged():
+    found = dataclasses.replace(evidence("backlash", statistic=2.0, after=2.0, before=20.0), reason="too uneven")
+    calm = rule([found], everywhere(20.0), 6, everywhere(28.0), unseen=2.2)
+    assert calm.verdict == OUTSIDE_LIBRARY
+    hard = rule([found], everywhere(20.0), 6, everywhere(15.0), unseen=40.0)
+    assert hard.verdict == CANNOT_TELL and "explains 95 % of the excess" in hard.statement
+
+
+def test_errors_of_open_motions_are_said_to_be_held_out_in_turn():
+    for ruling in (ruled(base_error=1.2), ruled(base_error=20.0), ruled(base_error=20.0, unfitted=5.0)):
+        assert "on the motions held out in turn" in ruling.statement.lower()
+    stuck = rule([], everywhere(6.0), 6, everywhere(28.0), base_converged=False)
+    assert "errs by 6.0 times the noise floor on the motions held out in turn" in stuck.statement
+
+
 def test_a_small_error_that_an_uncertain_candidate_would_mostly_explain_is_left_open():
     found = evidence("payload", statistic=2.0, after=1.5, before=2.6)
     assert (ruled(found, base_error=2.6).verdict, ruled(found, base_error=2.6).uses) == (CANNOT_TELL, ("payload",))
@@ -145,6 +160,8 @@ def test_a_small_error_that_an_uncertain_candidate_would_mostly_explain_is_left_
 
 def test_one_kind_of_motion_tells_nothing():
     assert ruled(evidence("backlash", gains=(40.0,)), kinds=1).verdict == CANNOT_TELL
+    assert "no candidate was tried" not in ruled(evidence("backlash", gains=(40.0,)), kinds=1).statement
+    assert "no candidate was tried" in ruled(kinds=1).statement
 
 
 def test_a_recording_half_as_long_may_gain_half_as_much():

@@ -1,9 +1,11 @@
 """Have the middleware ask for acknowledgements every 5 ms instead of every 3 s: waiting for listeners is short then."""
 
+import logging
 import os
 import tempfile
 from pathlib import Path
 
+log = logging.getLogger(__name__)
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com">
@@ -18,12 +20,30 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def ask_for_prompt_acks() -> None:
-    """Set Fast DDS's default profile for this process; call it before rclpy starts. A user's own profile stays."""
+    """Set Fast DDS's default profile for this process; call it before rclpy starts. A user's own profile stays.
+
+    Where the file cannot be written it goes on without, with a line in the log.
+    """
     if VARIABLE in os.environ or "FASTDDS_DEFAULT_PROFILES_FILE" in os.environ:
         return
+    try:
+        os.environ[VARIABLE] = str(_written())
+    except OSError as e:
+        log.warning(
+            "tcbi: waiting for listeners takes longer, for the middleware's profile cannot be written: %s; "
+            "free space, or name another folder in TMPDIR",
+            e,
+        )
+
+
+def _written() -> Path:
+    """The file with the profile."""
     path = Path(tempfile.gettempdir()) / f"tcbi-{os.getuid()}-prompt-acks.xml"
-    if not path.is_file() or path.read_text(encoding="utf-8") != PROFILE:
+    if not path.is_file() or path.read_bytes() != PROFILE.encode():
         fresh = path.with_suffix(f".{os.getpid()}")
-        fresh.write_text(PROFILE, encoding="utf-8")
-        fresh.replace(path)
-    os.environ[VARIABLE] = str(path)
+        try:
+            fresh.write_bytes(PROFILE.encode())
+            fresh.replace(path)
+        finally:
+            fresh.unlink(missing_ok=True)
+    return path

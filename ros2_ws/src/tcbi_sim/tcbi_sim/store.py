@@ -100,6 +100,8 @@ class ModelStore:
     def save(self, model: Model) -> Model:
         """Write a model as the next version of its rig and return it under that name.
 
+        A number whose folder holds no model, as an interrupted `rm -r` leaves it, is not given again.
+
         Raises:
           StoreError: the folder cannot be written.
         """
@@ -107,13 +109,17 @@ class ModelStore:
             self.models.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(prefix=".new-", dir=self.models, ignore_cleanup_errors=True) as work:
                 while True:
-                    number = 1 + max((_number(v) for v in self.versions(model.rig)), default=0)
+                    number = 1 + max((0, *self._taken(model.rig)))
                     named = dataclasses.replace(model, version=f"{model.rig}-v{number}", created=model.created or now())
                     self._write(Path(work), named)
                     if _moved(Path(work), self.models / named.version):
                         return named
         except OSError as e:
             raise StoreError(f"cannot write {self.models}: {e.strerror}; free space or choose --store") from e
+
+    def _taken(self, rig: str) -> list[int]:
+        """Numbers of a rig that something in the folder has, be it a model or not."""
+        return [_number(p.name) for p in self.models.glob("*-v*") if p.name.rpartition("-v")[0] == rig]
 
     def history(self, rig: str | None = None) -> list[Model]:
         """All versions, oldest first; one that cannot be read is left out with a line in the log."""

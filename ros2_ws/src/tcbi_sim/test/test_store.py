@@ -65,6 +65,18 @@ def test_a_full_disk_is_one_clear_line_and_leaves_the_store_as_it_was(store, mon
     assert [p.name for p in store.models.iterdir()] == ["hexapod-v1"]
 
 
+@pytest.mark.parametrize("left", ["folder", "file"])
+def test_a_number_that_something_else_has_is_skipped(store, left):
+    first = store.save(base_model("hexapod"))
+    place = store.models / "hexapod-v2"
+    if left == "folder":  # as an interrupted `rm -r` leaves it
+        place.mkdir()
+    (place / "posterior.nc" if left == "folder" else place).write_bytes(b"")
+    saved = store.save(first.with_effect("backlash"))
+    assert (saved.version, saved.parent, store.load().version) == ("hexapod-v3", first.version, "hexapod-v3")
+    assert store.versions("hexapod") == ["hexapod-v0", "hexapod-v1", "hexapod-v3"]
+
+
 def test_versions_are_numbered_by_rig_and_remembered_by_parent(store):
     first = store.save(base_model("hexapod").with_effect("backlash"))
     second = store.save(first.with_effect("payload"))

@@ -43,7 +43,9 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_contract.wording import counted
     from tcbi_infer.player import schedule
     from tcbi_infer.replay_node import main
+    from tcbi_sim.prompt_acks import ask_for_prompt_acks
 
+    ask_for_prompt_acks()  # before anything starts the middleware
     plan = schedule(args.bag, tuple(args.topics))
     if names.JOINT_COMMANDS in plan.topics and not args.drive:
         refuse_to_drive(args.namespace.strip("/"))

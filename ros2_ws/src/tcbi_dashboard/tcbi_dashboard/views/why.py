@@ -214,7 +214,7 @@ class WhyView(View):
     def _moments(self, d: dict[str, Any], moments: list[dict[str, Any]]) -> None:
         if not moments or not isinstance(moments[0]["after"], dict):
             with card("What an effect would change"):
-                soft("This diagnosis has kept no motions to show it on; diagnose again to see them.")
+                soft("No candidate was fitted, or this diagnosis has kept no motions to show one on.")
             return
         uses = [e["use"] for e in d["ranking"] if e["use"] in moments[0]["after"]]
         with card("What an effect would change"), ui.element("div").classes("tcbi-row"):

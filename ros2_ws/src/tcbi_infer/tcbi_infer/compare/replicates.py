@@ -17,6 +17,7 @@ SAME_TARGET = 2e-3  # rad
 SAME_TIME = 0.1  # s, jitter of a live command stream; half a control period
 SAME_SHAPE = 0.1  # of a motion's spread
 MIN_KINDS = 5  # fewer kinds than this give no 5 % claim
+SCRIPTED = "gait:"  # begins the name of a policy that is known to act without feedback
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,11 +79,26 @@ def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
     distinct = list(dict.fromkeys(labels))
     if len(distinct) >= MIN_KINDS:
         return [Replicates(tuple(g), distinct.index(label)) for g, label in zip(groups, labels, strict=True)]
-    return [Replicates(tuple(g), kind) for g, kind in zip(groups, _kinds_by_shape(measurements, groups), strict=True)]
+    kinds = _joined(_kinds_by_shape(measurements, groups), labels)
+    return [Replicates(tuple(g), kind) for g, kind in zip(groups, kinds, strict=True)]
 
 
-def _label(measurement: Measurement) -> tuple:
+def _label(measurement: Measurement) -> tuple[str, str]:
     return (measurement.scenario.task, measurement.policy_id)
+
+
+def _joined(kinds: Sequence[int], labels: Sequence[tuple[str, str]]) -> list[int]:
+    """The kinds, those in which one closed-loop policy did one task made one.
+
+    Its commands answer to the robot, so their shapes differ from one rollout to the next though the motion, and what a
+    model gets wrong of it, is the same.
+    """
+    for label in dict.fromkeys(labels):
+        if label[1] and not label[1].startswith(SCRIPTED):
+            own = {kind for kind, other in zip(kinds, labels, strict=True) if other == label}
+            kinds = [min(own) if kind in own else kind for kind in kinds]
+    distinct = list(dict.fromkeys(kinds))
+    return [distinct.index(kind) for kind in kinds]
 
 
 def _kinds_by_shape(measurements: Sequence[Measurement], groups: Sequence[Sequence[int]]) -> list[int]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from tcbi_contract.wording import counted, with_unit
 from tcbi_infer.compare.common_lag import LATENCIES, common_lag, without_latency
+from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
@@ -31,7 +32,7 @@ from tcbi_infer.diagnose.evidence import (
     NextMotion,
 )
 from tcbi_infer.diagnose.false_alarms import false_alarms
-from tcbi_infer.diagnose.fit import CLOSE_STEPS, Fit, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import CLOSE_STEPS, RACE, Fit, Fitter, Nuisance, to_physical, to_unit
 from tcbi_infer.diagnose.judge import Judge, Judged, screened
 from tcbi_infer.diagnose.leftover import explain
 from tcbi_infer.diagnose.motions import ready_motions
@@ -50,9 +51,12 @@ from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
+KNOWN = 2  # of the starts stand for what is known of the model; the others are that grid
+DIVERGES = "its simulations diverge"
 # by so much must the base model's fit improve from a candidate's parameters, to begin again there: nats, and a share of
 # what the best candidate gains
 BETTER, BETTER_SHARE = 3.0, 0.1
+NEAR = 0.05  # of every range: who starts so near to another start, or to the base model's fit, falls back to it
 
 
 def diagnose(
@@ -75,7 +79,7 @@ def diagnose(
       show: candidates of which to say which motion would show them best.
 
     Raises:
-      CompareError: nothing to compare, or another rig's rollouts.
+      CompareError: nothing to compare, another rig's rollouts, or none in which the model can be simulated.
     """
     quiet: Progress = lambda stage, share: None  # noqa: E731
     return _Run(model, measurements, uses, settings or Settings(), progress or quiet, show).go()
@@ -106,6 +110,15 @@ def find_candidates(model: Model, wanted: Sequence[str]) -> list[str]:
     return [u.key for u in every if u.key in wanted or u.effect.name in wanted]
 
 
+def base_starts(model: Model) -> np.ndarray:
+    """(N, P) unit vectors from which a base model is fitted: its mean, its nominal values, and a grid."""
+    width = len(model.parameters)
+    levels = GRID if width <= 4 else (0.3, 0.7)
+    grid = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
+    nominal = np.array([p.nominal for p in model.parameters])
+    return np.concatenate([[to_unit(model, model.mean()), to_unit(model, nominal)], grid])
+
+
 @dataclasses.dataclass(frozen=True)
 class _Found:
     """What a search around one fit of the base model brought.
@@ -113,7 +126,7 @@ class _Found:
     Attributes:
       coarse, base: the base model's fit with coarse and with fine steps.
       before: that, judged; `after` each candidate, by its number.
-      search: None where no candidate shows at all.
+      search: None where no candidate shows at all, or none was tried.
     """
 
     coarse: Fit
@@ -142,16 +155,40 @@ class _Run:
         self.model, self.settings, self.progress = model, settings, _only_forward(progress)
         self.measurements = measurements
         self.replay = Replay.of(model, measurements)
-        self.split: Split = split(self.replay.replicates, settings.seed, settings.sealed_share)
+        at_mean = self.replay.predict(model, model.mean()[None], timestep=settings.coarse)[0]
+        self.split, self.lost = self._without_diverging(np.isnan(at_mean).all(axis=(1, 2)))
         self.sets = np.array(self.split.open, int)
         self.uses = list(uses) if uses is not None else tried(model, settings)
-        self.floor = self._floor(model)
+        self.floor: NoiseFloor = self.replay.noise_floor(self.replay.measured - self.replay.by_rollout(at_mean))
         self.problem = Problem.of(self.replay, self.floor.values)
 
-    def _floor(self, model: Model) -> NoiseFloor:
-        predicted = self.replay.predict(model, model.mean()[None], timestep=self.settings.coarse)
-        residual = self.replay.measured - self.replay.by_rollout(predicted[0])
-        return self.replay.noise_floor(residual)
+    def _without_diverging(self, at_mean: np.ndarray) -> tuple[Split, tuple[str, ...]]:
+        """Which sets are open and which sealed, and a guard on the open ones left out: wherever a fit could start, they
+        diverge.
+
+        Args:
+          at_mean: (S,) which diverge at the model's mean.
+        """
+        whole = split(self.replay.replicates, self.settings.seed, self.settings.sealed_share)
+        doubtful = [s for s in whole.open if at_mean[s]]
+        if not doubtful:
+            return whole, ()
+        starts = to_physical(self.model, base_starts(self.model))
+        diverged = self.replay.simulate(self.model, starts, doubtful, self.settings.coarse).diverged.all(axis=0)
+        lost = {doubtful[i] for i in np.flatnonzero(diverged)}
+        if not lost:
+            return whole, ()
+        members = (self.replay.replicates[s].members for s in sorted(lost))
+        names = [self.replay.measurements[m].rollout_id for m in itertools.chain.from_iterable(members)]
+        who = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        folds = [tuple(s for s in fold if s not in lost) for fold in whole.folds]
+        if not any(folds):
+            raise CompareError(
+                f"the simulation of {self.model.version} diverges in every motion, wherever its fit could start "
+                f"({who}); begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions"
+            )
+        told = f"The model's simulation diverges wherever its fit could start: that counts for nothing here ({who})."
+        return Split(tuple(fold for fold in folds if fold), whole.sealed), (told,)
 
     def go(self) -> Diagnosis:
         """All stages in order."""
@@ -167,8 +204,11 @@ class _Run:
         # what a coarse time step gets wrong must not look like an effect
         base = refined(self.problem, coarse, nuisance, self.sets, self.settings)
         self.progress("screening effects", 0.25)
+        # with one kind of motion nothing tells candidates apart; one that is asked for alone is fitted all the same
+        comparable = len(self.split.folds) > 1 or len(self.uses) == 1
+        uses = self.uses if comparable and base.total < np.inf else []
         directions = simulate_directions(
-            self.problem, base, nuisance, self.uses, self.sets, self.settings.coarse, self._screened()
+            self.problem, base, nuisance, uses, self.sets, self.settings.coarse, self._screened()
         )
         judge = Judge(self.model, self.problem, self.split, self.floor, nuisance, self.settings.timestep)
         before = judge.judge(base)
@@ -181,24 +221,36 @@ class _Run:
             self.problem, base, coarse.total, nuisance, screen, data, gains, self.sets, self.settings, self.progress
         )
         fits = search.fit(search.best_by_screening(), (0.55, 0.7))
-        fits |= search.fit(search.rivals(fits), (0.7, 0.75))
+        fits |= search.fit(search.rivals(fits), (0.7, 0.75), fits)
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
         error = judge.held_out_error(before)
         least = min([error, *(judge.held_out_error(e) for e in after.values())])
         if least > WELL_PREDICTED and error - least < MOSTLY * (error - 1.0):
-            further = search.fit(search.hidden(fits), (0.8, 0.85))
+            further = search.fit(search.hidden(fits), (0.8, 0.85), fits)
             fits |= further
             after |= {u: judge.judge(fine) for u, (_, fine) in further.items()}
         return _Found(coarse, base, judge, before, directions, search, fits, after)
 
     def _better_base(self, found: "_Found", nuisance: Nuisance) -> Fit | None:
         """The base model's fit from a candidate's base parameters, where that is better: else the candidate would be
-        credited with a valley that the base model was never shown."""
-        if not found.fits:
+        credited with a valley that the base model was never shown.
+
+        Of several far starts each is fitted a little first: without the effect all lose, the nearest of them least.
+        """
+        coarse = found.coarse
+        starts: list[np.ndarray] = []
+        for rough, _ in found.fits.values():
+            start = rough.unit[: len(coarse.unit)]
+            if min(np.max(np.abs(start - other)) for other in (coarse.unit, *starts)) > NEAR:
+                starts.append(start)
+        if not starts:
             return None
         self.progress("fitting the base model again", 0.85)
-        starts = np.array([rough.unit[: len(found.base.unit)] for rough, _ in found.fits.values()])
-        fit = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse).run(starts, steps=CLOSE_STEPS)
+        fitter = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
+        if len(starts) > 1:
+            few = fitter.on_few_sets()
+            starts = [min((few.run(start[None], steps=RACE) for start in starts), key=lambda f: f.total).unit]
+        fit = fitter.run(starts[0][None], steps=CLOSE_STEPS)
         gained = found.coarse.total - min(rough.total for rough, _ in found.fits.values())
         return fit if found.coarse.total - fit.total > max(BETTER, BETTER_SHARE * gained) else None
 
@@ -233,12 +285,8 @@ class _Run:
         """The base model's parameters from a grid of starts, then again with scatter between joints allowed for."""
         self.progress("fitting the base model", 0.0)
         none = Nuisance.none(self.problem)
-        width = len(self.model.parameters)
-        levels = GRID if width <= 4 else (0.3, 0.7)
-        grid = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
-        nominal = np.array([p.nominal for p in self.model.parameters])
-        known = np.array([to_unit(self.model, self.model.mean()), to_unit(self.model, nominal)])
-        starts = np.concatenate([known, grid])
+        width, starts = len(self.model.parameters), base_starts(self.model)
+        known = starts[:KNOWN]
         everything = Fitter(self.problem, self.model, none, self.sets, self.settings.coarse)
         near = everything.on_few_sets().run(starts, steps=(0.12, 0.1, 0.08, 0.06))
         first = everything.run(np.concatenate([near.unit[None], known]), steps=(0.06,))
@@ -277,7 +325,7 @@ class _Run:
         """Rule, and put together everything that the verdict rests on."""
         kinds, sealed = len(self.split.folds), judge.sealed
         misfit, unfitted = judge.misfit(before), judge.unfitted_misfit()
-        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged)
+        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted)
         errors = {"unfitted": judge.unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
@@ -306,20 +354,22 @@ class _Run:
             errors=errors,
             floor_from_replicates=self.floor.from_replicates,
             untestable=directions.untestable,
-            guards=self._guards(before, after),
+            guards=(*self.lost, *self._guards(before, after)),
             claims=tuple(
                 self._claims(kinds, sealed, null)
+                + _diverging(directions.diverging)
                 + _bounds(base, [e for e in ranking if e.use in ruling.uses])
                 + [a.statement for use in ruling.uses or ("",) for a in disagreeing(agreed.get(use, ()))]
             ),
             base=base,
-            moments=tuple(judge.moments(before, after)),
+            moments=tuple(judge.moments(before, after)) if after else (),
             false_alarms=false_alarms(null),
-            detectable=detectable,
+            detectable=(*detectable, *(DetectableSize(use, reason=DIVERGES) for use in directions.diverging)),
             next_motions=self._next_motions(ruling, before, after, detectable),
             leftover=leftover,
             agreement=agreed,
             misfit=better_misfit(misfit, unfitted),
+            kinds=kinds,
         )
 
     def _guards(self, base: Judged, after: dict[str, Judged]) -> tuple[str, ...]:
@@ -331,7 +381,7 @@ class _Run:
         measured = self.problem.observed[self.sets]
         first = [self.replay.replicates[s].members[0] for s in self.sets]
         names = [self.replay.measurements[r].rollout_id for r in first]
-        late = common_lag(self.replay.layout, self.replay.time, measured, measured - base.held.residual, names)
+        late = common_lag(self.replay.layout, self.replay.time, measured, base.held.predicted, names)
         for use, judged in after.items():
             instant = without_latency(judged.fit.model, judged.fit.parameters)
             if instant is not None and use in LATENCIES and not late:
@@ -387,6 +437,11 @@ def _only_forward(progress: Progress) -> Progress:
         progress(stage, most)
 
     return told
+
+
+def _diverging(uses: Sequence[str]) -> list[str]:
+    """A sentence on the candidates that could not be simulated."""
+    return [f"Not tested, since simulations with it diverge: {', '.join(uses)}."] if uses else []
 
 
 def _bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:

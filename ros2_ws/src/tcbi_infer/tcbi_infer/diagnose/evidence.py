@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ HEADLINES = {
     NOTHING_MISSING: "Nothing missing was found",
     OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
 }
+NOT_CONVERGED = "The fit of the model did not converge"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,6 +112,17 @@ class Evidence:
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""
         return {**dataclasses.asdict(self), "parameters": [p.to_json() for p in self.parameters]}
+
+
+def in_doubt(base_converged: bool, error: float, ranking: Sequence[Evidence]) -> bool:
+    """Whether what a base model gets wrong, and what candidates gain on it, may be the fault of its own fit.
+
+    Args:
+      base_converged: whether that fit did.
+      error: of the base model over the noise floor, on the motions held out in turn.
+      ranking: candidates, acceptance decided.
+    """
+    return not base_converged and (error > WELL_PREDICTED or any(e.accepted for e in ranking))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -244,7 +257,7 @@ class Agreement:
 
     Attributes:
       value: common to all.
-      agrees: None where too few kinds know the parameter.
+      agrees: None where too few kinds know the parameter, or shifts in time cannot tell.
       statement: in a sentence.
       kinds: those that know it alone.
       p: how often errors of this size, unrelated to the parameter, scatter the values as far; None where not tested.
@@ -269,6 +282,7 @@ class Diagnosis:
       threshold: of the statistic, from simulations of "nothing missing".
       errors: the ladder: label -> error over noise floor, on rollouts that no fit saw.
       misfit: of the base model, refitted (each open kind of motion held out in turn) or as it was, if that is better.
+      kinds: of motion, the sealed ones left out; 0 where that was not told.
       untestable: uses that change nothing in these rollouts.
       moments: where the base model fails worst, with and without the candidates.
       claims: caveats in sentences: how the data were split, what no claim is made about.
@@ -302,6 +316,7 @@ class Diagnosis:
     leftover: Leftover | None = None
     agreement: dict[str, tuple[Agreement, ...]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
+    kinds: int = 0
 
     def moments_json(self) -> list[dict[str, Any]]:
         """The moments, to five digits."""
@@ -312,9 +327,14 @@ class Diagnosis:
         """The verdict in a few words, no surer than the statement: what was not accepted may be missing, no more."""
         if not self.reassuring and self.verdict == NOTHING_MISSING:
             return "No effect is named, but not every motion is predicted"
-        if self.verdict != CANNOT_TELL or any(e.accepted for e in self.ranking):
+        if self.verdict != CANNOT_TELL:
             return HEADLINES[self.verdict]
-        return "These rollouts cannot tell" if self.nothing_held_out else "An effect may be missing"
+        if self.nothing_held_out:
+            return "These rollouts cannot tell"
+        if in_doubt(self.base.converged, (self.base.held_out or (self.base.error_before,))[0], self.ranking):
+            return NOT_CONVERGED
+        accepted = any(e.accepted for e in self.ranking)
+        return HEADLINES[CANNOT_TELL] if accepted else "An effect may be missing"
 
     @property
     def reassuring(self) -> bool:
@@ -323,8 +343,8 @@ class Diagnosis:
 
     @property
     def nothing_held_out(self) -> bool:
-        """Whether the rollouts had one kind of motion only: the one verdict of `cannot_tell` that names nothing."""
-        return self.verdict == CANNOT_TELL and not self.effects
+        """Whether the rollouts had one kind of motion only, so that every error is of the motion of the fit itself."""
+        return self.kinds == 1
 
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from tcbi_infer.compare.replicates import Replicates
 from tcbi_infer.diagnose.evidence import DetectableSize, NextMotion
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, probe, straight
 from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.motions import Motion
 from tcbi_infer.diagnose.problem import Problem
@@ -108,10 +108,10 @@ def expected_ratio(problem: Problem, truth: Fit, other: Fit, motions: Sequence[M
     sets = np.arange(len(motions))
     fitter = Fitter(planned, other.model, Nuisance.none(planned), sets, timestep)
     predicted = fitter.predict(other.unit[None])[0]
-    slopes, bend = fitter.slopes(other.unit, predicted, STEP)
+    slopes, bend, refit = _slopes(fitter, other.unit, predicted)
     scale = np.minimum(truth.scale, other.scale)
     residual = planned.residual(predicted)
-    fine = np.isfinite(residual).all(axis=(1, 2))
+    fine = np.isfinite(residual).all(axis=(1, 2)) & refit
     residual = np.nan_to_num(residual)
     normal, slope = gram(slopes, residual, fitter.precision(residual, scale, bend))
     known = _known(other)
@@ -124,6 +124,19 @@ def expected_ratio(problem: Problem, truth: Fit, other: Fit, motions: Sequence[M
         left = (residual[s] - slopes[s] @ step) * certainty[s]
         nats[s] = planned.loss(left[None], scale, np.array([s]))[0] - nothing[s] + 0.5 * step @ known @ step
     return nats
+
+
+def _slopes(fitter: Fitter, unit: np.ndarray, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slopes (M, T, C, P) and departures (M, T, C), each motion's from the probes that do not diverge in it.
+
+    And (M,) whether these move every parameter: else a refit cannot be told, and the motion is not recommended.
+    """
+    moves = probe(unit, STEP)
+    change = fitter.predict(unit + moves) - predicted
+    alive = np.isfinite(change).all(axis=(2, 3))  # (n, M)
+    lines = [straight(moves[fine], change[fine, m]) for m, fine in enumerate(alive.T)]
+    slopes, bends = (np.array(each) for each in zip(*lines, strict=True))
+    return slopes, bends, np.array([moves[fine].any(axis=0).all() for fine in alive.T])
 
 
 def _known(fit: Fit) -> np.ndarray:

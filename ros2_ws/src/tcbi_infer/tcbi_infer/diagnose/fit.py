@@ -67,7 +67,7 @@ class Fit:
       scale: (G,).
       normal: (S, P + Q, P + Q), `slope` (S, P + Q) and `square` (S,): the quadratic around the optimum, set by set.
       jacobian: (S, T, C, P) slopes of the prediction; `bend` (S, T, C) its departure from them within a step.
-      converged: the last step was small, or gained nothing.
+      converged: the last step was small, or gained nothing, and no set diverges.
     """
 
     model: Model
@@ -144,7 +144,7 @@ class Fitter:
         """(G,) scales of a residual of the open sets."""
         full = np.zeros_like(self.problem.observed)
         full[self.sets] = residual
-        return self.problem.scales(np.nan_to_num(full), self.sets)
+        return self.problem.scales(full, self.sets[_alive(residual)])
 
     def best_start(self, starts: np.ndarray, nuisance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The best of (N, P) starting points by the scale-free loss, and its prediction (open sets, T, C).
@@ -234,7 +234,7 @@ class Fitter:
                 residual = self.residual(predicted, delta)
                 scale = self.scales(residual)
             small = max(SMALL_GAIN, SMALL_SHARE * abs(before))
-            converged = moved < SMALL_STEP or before - best.total < small
+            converged = best.total < np.inf and (moved < SMALL_STEP or before - best.total < small)
             if converged and step <= FINE_STEP:
                 break
         return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
@@ -276,39 +276,39 @@ class Fitter:
         """A fit at another time step carried on at this one, first with its slopes, then with slopes of this step."""
         fine = self.run(fit.unit[None], fit.nuisance, POLISH, POLISH_STRETCH, known=(fit.jacobian, fit.bend))
         fine = self.run(fine.unit[None], fine.nuisance, CLOSE, POLISH_STRETCH)
-        return dataclasses.replace(fine, converged=fit.converged)
+        return dataclasses.replace(fine, converged=fit.converged and fine.total < np.inf)
 
     def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
         return float(self.problem.loss(residual, scale, self.sets).sum() + 0.5 * delta @ delta)
 
     def slopes(self, unit: np.ndarray, predicted: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes of the prediction over a wide step, and how far it departs from them.
+        """Slopes of the prediction over a wide step, and how far it departs from them; 0 in sets that diverge here.
+
+        A probe that diverges in another set is left out.
 
         Returns:
           (open sets, T, C, P) slopes; (open sets, T, C) root mean square departure from the straight line.
         """
         moves = probe(unit, step)
         change = self.predict(unit + moves) - predicted
+        change[:, ~_alive(predicted)] = 0.0
         alive = np.isfinite(change).all(axis=(1, 2, 3))
-        moves, change = moves[alive], change[alive]
-        slopes = np.einsum("pn,nstc->stcp", np.linalg.pinv(moves), change)
-        departure = change - np.einsum("np,stcp->nstc", moves, slopes)
-        freedom = max(len(moves) - len(unit), 1)
-        return slopes, np.sqrt((departure**2).sum(axis=0) / freedom)
+        return straight(moves[alive], change[alive])
 
     def precision(self, residual: np.ndarray, scale: np.ndarray, bend: np.ndarray) -> np.ndarray:
-        """(open sets, T, C) weight of each squared residual in a Gauss-Newton step."""
+        """(open sets, T, C) weight of each squared residual in a Gauss-Newton step; none of a set that diverges."""
         full = np.zeros_like(self.problem.observed)
-        full[self.sets] = residual
+        alive = _alive(residual)
+        full[self.sets[alive]] = residual[alive]
         sigma = self.problem.floor * scale[self.problem.group]
-        return self.problem.precision(full, scale)[self.sets] / (1.0 + (bend / sigma) ** 2)
+        return alive[:, None, None] * self.problem.precision(full, scale)[self.sets] / (1.0 + (bend / sigma) ** 2)
 
     def _quadratic(
         self, residual: np.ndarray, scale: np.ndarray, jacobian: np.ndarray, bend: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(open sets, K, K) normal matrices and (open sets, K) slopes of parameters and nuisances."""
         design = np.concatenate([jacobian, self.nuisance.effect[self.sets]], axis=-1)
-        return gram(design, residual, self.precision(residual, scale, bend))
+        return gram(design, np.nan_to_num(residual), self.precision(residual, scale, bend))
 
     def _direction(
         self,
@@ -335,11 +335,24 @@ class Fitter:
         converged: bool,
     ) -> Fit:
         normal, slope = self._quadratic(residual, scale, jacobian, bend)
-        square = (self.precision(residual, scale, bend) * residual**2).sum(axis=(1, 2))
+        square = (self.precision(residual, scale, bend) * np.nan_to_num(residual) ** 2).sum(axis=(1, 2))
         loss = self.problem.loss(residual, scale, self.sets)
         return Fit(
             self.model, unit, delta, predicted, residual, loss, scale, normal, slope, square, jacobian, bend, converged
         )
+
+
+def _alive(values: np.ndarray) -> np.ndarray:
+    """(S,) which sets of (S, T, C) predictions or residuals did not diverge."""
+    return np.isfinite(values).all(axis=(1, 2))
+
+
+def straight(moves: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The slopes (..., P) of changes (n, ...) of a prediction with moves (n, P), and the root mean square departure."""
+    slopes = np.einsum("pn,n...->...p", np.linalg.pinv(moves), change)
+    departure = change - np.einsum("np,...p->n...", moves, slopes)
+    freedom = max(len(moves) - moves.shape[1], 1)
+    return slopes, np.sqrt((departure**2).sum(axis=0) / freedom)
 
 
 def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:

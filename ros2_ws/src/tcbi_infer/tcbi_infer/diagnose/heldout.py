@@ -23,11 +23,13 @@ class HeldOut:
       score: (F,) log score of each fold in nats.
       residual: (open sets, T, C), each set predicted without its own fold.
       unit: (F, P) parameters without each fold.
+      predicted: (open sets, T, C) the predictions themselves, also where nothing counts; NaN where they diverged.
     """
 
     score: np.ndarray
     residual: np.ndarray
     unit: np.ndarray
+    predicted: np.ndarray
 
 
 def fold_indices(problem: Problem, sets: np.ndarray) -> list[np.ndarray]:
@@ -37,16 +39,20 @@ def fold_indices(problem: Problem, sets: np.ndarray) -> list[np.ndarray]:
 
 
 def held_out(problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, timestep: float) -> HeldOut:
-    """Predicts each fold from a fit to the others."""
+    """Predicts each fold from a fit to the others; a single fold from the fit to itself."""
     folds = fold_indices(problem, sets)
     count = len(fit.unit)
     units, deltas = np.empty((len(folds), count)), np.empty((len(folds), len(fit.nuisance)))
     for f, fold in enumerate(folds):
         train = np.setdiff1d(np.arange(len(sets)), fold)
+        if not len(train):
+            units[f], deltas[f] = fit.unit, fit.nuisance
+            continue
         step = bounded_step(fit.normal[train].sum(axis=0), fit.slope[train].sum(axis=0), fit.unit, fit.nuisance)
         units[f] = np.clip(fit.unit + np.clip(step[:count], -0.25, 0.25), 0.0, 1.0)
         deltas[f] = fit.nuisance + step[count:]
-    residual = _predict_folds(problem, fit, nuisance, sets, folds, units, deltas, timestep)
+    predicted = _predict_folds(problem, fit, nuisance, sets, folds, units, deltas, timestep)
+    residual = problem.residual(predicted, sets)
     score = np.empty(len(folds))
     for f, fold in enumerate(folds):
         train = np.setdiff1d(np.arange(len(sets)), fold)
@@ -54,7 +60,7 @@ def held_out(problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, t
         full[sets] = fit.residual
         scale = problem.scales(full, sets[train]) if len(train) else fit.scale
         score[f] = -problem.loss(residual[fold], scale, sets[fold]).sum()
-    return HeldOut(score, residual, units)
+    return HeldOut(score, residual, units, predicted)
 
 
 def _predict_folds(
@@ -67,6 +73,7 @@ def _predict_folds(
     deltas: np.ndarray,
     timestep: float,
 ) -> np.ndarray:
+    """(open sets, T, C), nuisances included."""
     replay, owner = problem.replay, np.empty(len(sets), int)
     for f, fold in enumerate(folds):
         owner[fold] = f
@@ -82,7 +89,7 @@ def _predict_folds(
     predicted = replay.layout.extract(rollouts)[:, 0, -len(replay.time) :]
     predicted[rollouts.diverged[:, 0]] = np.nan
     shift = np.einsum("stcq,sq->stc", nuisance.effect[sets], deltas[owner])
-    return problem.residual(predicted + shift, sets)
+    return predicted + shift
 
 
 def shared_error(residual: np.ndarray) -> float:

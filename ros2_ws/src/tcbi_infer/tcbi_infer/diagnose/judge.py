@@ -70,7 +70,12 @@ class Judge:
         return Judged(fit, held, self._unseen_error(fit, held))
 
     def held_out_error(self, judged: Judged) -> float:
-        """Error over the floor of the open motions, each predicted without its own kind."""
+        """Error over the floor of the open motions, each predicted without its own kind.
+
+        Infinite also where the fit diverges in a motion that it was fitted to.
+        """
+        if not judged.fit.total < np.inf:
+            return np.inf
         return self._error(self.problem.observed[self.sets] - judged.held.residual, list(self.sets))
 
     def misfit(self, judged: Judged) -> Misfit:
@@ -79,11 +84,10 @@ class Judge:
         return Misfit(self.held_out_error(judged), self._by_kind(predicted))
 
     def unfitted_misfit(self) -> Misfit:
-        """Of the model as it was, never fitted: of all motions that no fit saw, and of each open kind."""
-        mean = self.model.mean()[None]
-        return Misfit(
-            self.unfitted, self._by_kind(self.replay.predict(self.model, mean, list(self.sets), self.timestep)[0])
-        )
+        """Of the open motions too, by the model as it was, never fitted."""
+        sets = list(self.sets)
+        predicted = self.replay.predict(self.model, self.model.mean()[None], sets, self.timestep)[0]
+        return Misfit(self._error(predicted, sets), self._by_kind(predicted))
 
     def _by_kind(self, predicted: np.ndarray) -> dict[str, float]:
         """Errors of predictions (open sets, T, C); infinite where one diverged, left out where nothing was measured."""

@@ -36,6 +36,7 @@ class Directions:
       unit: K vectors of the effect's own parameters in [0, 1].
       change: (K, S, T, C) of the open sets.
       least, most: (K,) multiples between which the effect stays inside its range.
+      untestable: uses that change nothing; `diverging` those whose simulations diverge at every size.
     """
 
     uses: tuple[str, ...]
@@ -46,6 +47,7 @@ class Directions:
     least: np.ndarray
     most: np.ndarray
     untestable: tuple[str, ...]
+    diverging: tuple[str, ...] = ()
 
 
 def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
@@ -91,19 +93,23 @@ def simulate_directions(
     timestep: float,
     progress: Callable[[str], None] | None = None,
 ) -> Directions:
-    """Simulates every use at a few sizes, base parameters at the base fit."""
+    """Simulates every use at a few sizes, base parameters at the base fit; sets that diverge there show no change."""
     reference = problem.replay.predict(base.model, base.parameters[None], list(sets), timestep)[0]
     names = [use.partition(":")[0] for use in uses]
     candidates = [_candidate(base, nuisance, use, names) for use in uses]
     predicted = _predictions(problem, base.unit, list(sets), timestep, candidates, progress)
-    owner, units, changes, bounds, models, untestable, kept = [], [], [], [], [], [], []
+    counted = (problem.weight[list(sets)] > 0) & np.isfinite(reference)
+    owner, units, changes, bounds, models, untestable, diverging, kept = [], [], [], [], [], [], [], []
     for use, (model, points, joint), values in zip(uses, candidates, predicted, strict=True):
         if joint:
             change = SCREENED_SCATTER * nuisance.effect[sets][..., nuisance.names.index(joint)][None]
         else:
             change = values - reference
-        change = np.where(problem.weight[list(sets)] > 0, change, 0.0)
-        alive = np.isfinite(change).all(axis=(1, 2, 3))
+        change = np.where(counted, change, 0.0)
+        alive = np.isfinite(change).all(axis=(1, 2, 3)) & counted.any()
+        if not alive.any():
+            diverging.append(use)
+            continue
         if _influence(problem, change[alive], sets) < INFLUENCE:
             untestable.append(use)
             continue
@@ -117,7 +123,15 @@ def simulate_directions(
     least, most = np.array(bounds).reshape(-1, 2).T
     change = np.array(changes) if changes else np.empty((0, *reference.shape))
     return Directions(
-        tuple(kept), tuple(models), np.array(owner, int), tuple(units), change, least, most, tuple(untestable)
+        tuple(kept),
+        tuple(models),
+        np.array(owner, int),
+        tuple(units),
+        change,
+        least,
+        most,
+        tuple(untestable),
+        tuple(diverging),
     )
 
 
@@ -170,8 +184,6 @@ def _predicted(
 
 def _influence(problem: Problem, change: np.ndarray, sets: np.ndarray) -> float:
     """The largest root mean square change of any channel, over its noise floor."""
-    if not len(change):
-        return 0.0
     weight = problem.weight[list(sets)]
     count = np.maximum(weight.sum(axis=(0, 1)), 1)
     squares = ((change / problem.floor) ** 2 * weight).sum(axis=(1, 2)) / count

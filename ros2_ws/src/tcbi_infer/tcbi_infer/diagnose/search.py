@@ -62,34 +62,39 @@ class Search:
                 per_effect[name] = per_effect.get(name, 0) + 1
         return chosen
 
-    def hidden(self, fits: Collection[int]) -> list[int]:
+    def hidden(self, fits: Collection[int]) -> dict[int, np.ndarray]:
         """Uses of other effects that start well far from the base fit, where what was fitted leaves too much.
 
         A base fit that bent itself to make up for an effect hides it from the screening, which looks along straight
         lines from there: soft servos and half the weight passed for grease once.
+
+        Returns:
+          Uses, each with (n, P) starts.
         """
         seen = {_effect(self.names[u]) for u in fits}
         losses: dict[int, float] = {}
+        starts: dict[int, np.ndarray] = {}
         for u in map(int, np.argsort(-self.gains.mean(axis=0))):
             name = _effect(self.names[u])
             if name in seen or len(losses) == self.settings.further:
                 continue
             seen.add(name)
             self.progress(f"looking for {self.names[u]} elsewhere", 0.75)
-            fitter = self._fitter(self.screen.directions.models[u])
-            few = fitter.on_few_sets()
-            starts = start_points(self.screen, self.data, u, self.base, fitter)
-            losses[u] = min(few.start_losses(few.predict(starts), np.zeros(self.nuisance.effect.shape[-1])))
-        return sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
+            starts[u] = self._starts(u)
+            few = self._fitter(self.screen.directions.models[u]).on_few_sets()
+            losses[u] = min(few.start_losses(few.predict(starts[u]), np.zeros(self.nuisance.effect.shape[-1])))
+        nearest = sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
+        return {u: starts[u] for u in nearest}
 
     def rivals(self, fits: Fits) -> dict[int, np.ndarray]:
         """Uses that hardly show around the base fit, but nearly take the best effect's place with its base parameters.
 
         A base fit that answered late because its servos were soft hid one kind of latency and not the other. What
-        happens at one place only is no rival of what happens everywhere.
+        happens at one place only is no rival of what happens everywhere, and the scatter of a joint is none where it is
+        a nuisance: the leader was fitted with it.
 
         Returns:
-          Uses, each with the (1, P) start that explains most.
+          Uses, each with (n, P) starts: the one that explains most, and those of any fit.
         """
         if not (fits and self.settings.rivals):
             return {}
@@ -102,9 +107,10 @@ class Search:
         worth = without - float(best.loss[positions].sum())
         if worth < LEAST_WORTH:
             return {}
+        scatter = {f"gain_scatter:{joint}" for joint in self.nuisance.names}
         explained: dict[int, tuple[float, np.ndarray]] = {}
         for u, model in enumerate(self.screen.directions.models):
-            if u in fits or (":" in self.names[u] and not anywhere):
+            if u in fits or (":" in self.names[u] and not anywhere) or self.names[u] in scatter:
                 continue
             few = self._fitter(model).on_few_sets()
             sizes = self.screen.sized(self.data, u, RIVAL_SIZES, 1)
@@ -114,30 +120,33 @@ class Search:
             if without - losses[i] > RIVAL * worth:
                 explained[u] = losses[i], starts[i][None]
         nearest = sorted(explained, key=lambda u: explained[u][0])[: self.settings.per_effect]
-        return {u: explained[u][1] for u in nearest}
+        return {u: np.concatenate([explained[u][1], self._starts(u)]) for u in nearest}
 
-    def fit(self, uses: Collection[int] | Mapping[int, np.ndarray], shares: tuple[float, float]) -> Fits:
+    def fit(
+        self, uses: Collection[int] | Mapping[int, np.ndarray], shares: tuple[float, float], others: Fits | None = None
+    ) -> Fits:
         """Full fits of some uses, all with coarse steps, those with hope with fine ones.
 
         Args:
-          uses: their numbers; a mapping adds (n, P) starts of each.
+          uses: their numbers; a mapping gives (n, P) starts of each.
           shares: of the whole diagnosis done before and after.
+          others: fits so far, of other uses; the best of all says who has hope.
         """
         begin, end = shares
+        least_loss = min((rough.total for rough, _ in (others or {}).values()), default=np.inf)
         fitted: dict[int, tuple[Fitter, Fit]] = {}
         for i, u in enumerate(uses):
             self.progress(f"fitting {self.names[u]}", begin + (end - begin) * i / len(uses))
             fitter = self._fitter(self.screen.directions.models[u])
-            starts = start_points(self.screen, self.data, u, self.base, fitter)
-            if isinstance(uses, Mapping):
-                starts = np.concatenate([uses[u], starts])
+            starts = uses[u] if isinstance(uses, Mapping) else self._starts(u)
             fitted[u] = fitter, fitter.run(starts, steps=CLOSE_STEPS)
         if self.settings.escape and fitted:
             u = min(fitted, key=lambda u: fitted[u][1].total)
             fitter, rough = fitted[u]
-            fitted[u] = fitter, fitter.escape(rough, len(self.base.unit), CLOSE_STEPS)
+            if rough.total <= least_loss:
+                fitted[u] = fitter, fitter.escape(rough, len(self.base.unit), CLOSE_STEPS)
         gains = {u: self.base_loss - rough.total for u, (_, rough) in fitted.items()}
-        best = max(gains.values(), default=0.0)
+        best = max([self.base_loss - least_loss, *gains.values()])
         least = min(HOPELESS * best, best)
         return {
             u: (rough, refined(self.problem, rough, self.nuisance, self.sets, self.settings))
@@ -155,6 +164,10 @@ class Search:
             )
             for a in uses
         }
+
+    def _starts(self, use: int) -> np.ndarray:
+        fitter = self._fitter(self.screen.directions.models[use])
+        return start_points(self.screen, self.data, use, self.base, fitter)
 
     def _fitter(self, model: Model) -> Fitter:
         return Fitter(self.problem, model, self.nuisance, self.sets, self.settings.coarse)

@@ -15,6 +15,7 @@ from tcbi_infer.diagnose.evidence import (
     WELL_PREDICTED,
     Evidence,
     Misfit,
+    in_doubt,
 )
 
 LEVEL = 0.95  # of the test that one candidate is better than another
@@ -23,6 +24,7 @@ WIDELY = 0.25  # quantile over the kinds of motion that must err so much, before
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
 MOSTLY = 1 / 2  # of the excess error: nothing is called complete that one more effect would explain so far
 CONTRADICTED = "it lowers the error of the motions held out in turn, but not that of the sealed ones"
+IN_TURN = "on the motions held out in turn"
 EXPLAINED = 1 / 3  # of the excess error: a candidate that explains less leaves "something else is missing" open
 
 
@@ -122,7 +124,12 @@ def ranked(judged: Sequence[Evidence]) -> list[Evidence]:
 
 
 def rule(
-    ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitted: Misfit, base_converged: bool = True
+    ranking: Sequence[Evidence],
+    base: Misfit,
+    kinds: int,
+    unfitted: Misfit,
+    base_converged: bool = True,
+    unseen: float = np.inf,
 ) -> Ruling:
     """The verdict.
 
@@ -130,28 +137,30 @@ def rule(
       ranking: candidates, best first, acceptance decided.
       base: held-out error of the refitted base model.
       kinds: of motion.
-      unfitted: of the model as it was.
+      unfitted: of the model as it was, on the same motions as `base`.
       base_converged: whether the base model's own fit did; a bad one looks like a missing effect.
+      unseen: error over the floor of the model as it was, on the motions of `error_after`; infinite if not known.
     """
     accepted = [e for e in ranking if e.accepted]
     if kinds < 2:
         return Ruling(
             CANNOT_TELL,
             (),
-            "These rollouts show one kind of motion, so that no fit can be tried on another and nothing is told: "
+            "These rollouts show one kind of motion, so that no fit can be tried on another"
+            f"{'' if ranking else ', no candidate was tried'} and nothing is told: "
             f"fitted to it, the model still errs by {base.total:.1f} times the noise floor. Record {MIN_KINDS} kinds "
             "of motion or more, each twice.",
         )
-    if not base_converged and (accepted or base.total > WELL_PREDICTED):
+    if in_doubt(base_converged, base.total, ranking):
         doubt = f", and {accepted[0].use} may only make up for that" if accepted else ""
         return Ruling(
             CANNOT_TELL,
             tuple(e.use for e in accepted[:1]),
-            f"The fit of the base model did not converge{doubt}: it errs by {base.total:.1f} times the noise floor. "
-            "Begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions.",
+            f"The fit of the base model did not converge{doubt}: it errs by {base.total:.1f} times the noise floor "
+            f"{IN_TURN}. Begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions.",
         )
     if not accepted:
-        return _none_accepted(ranking, base, kinds, unfitted)
+        return _none_accepted(ranking, base, kinds, unfitted, unseen)
     best = accepted[0]
     left, explained = best.error_after, _explained(best)
     if left > WELL_PREDICTED and explained < EXPLAINED:
@@ -193,11 +202,14 @@ def better_misfit(base: Misfit, unfitted: Misfit) -> Misfit:
     return unfitted if _lowered(base.total, unfitted.total) else base
 
 
-def _none_accepted(ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitted: Misfit) -> Ruling:
+def _none_accepted(ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitted: Misfit, unseen: float) -> Ruling:
     best, misfit = ranking[0] if ranking else None, better_misfit(base, unfitted)
-    error = f"the refitted model errs by {base.total:.1f} times the noise floor"
+    error = f"{IN_TURN} the refitted model errs by {base.total:.1f} times the noise floor"
     if misfit is unfitted:
-        error = f"the model as it was errs by {unfitted.total:.1f} times the noise floor, refitted by {base.total:.1f}"
+        error = (
+            f"{IN_TURN} the model as it was errs by {unfitted.total:.1f} times the noise floor, refitted by "
+            f"{base.total:.1f}"
+        )
     hint = f" The best candidate was {best.use}: {best.reason}." if best else ""
     if best and best.reason == CONTRADICTED:
         return Ruling(
@@ -206,11 +218,11 @@ def _none_accepted(ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitt
             f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more motions.",
         )
     much = EXPLAINED if misfit.total > WELL_PREDICTED else MOSTLY
-    if best and misfit.total > NOTICEABLE and _explained(best, unfitted.total) >= much:
+    if best and misfit.total > NOTICEABLE and _explained(best, unseen) >= much:
         return Ruling(
             CANNOT_TELL,
             (best.use,),
-            f"Something may be missing: {error}. {best.use} explains {100 * _explained(best, unfitted.total):.0f} % "
+            f"Something may be missing: {error}. {best.use} explains {100 * _explained(best, unseen):.0f} % "
             f"of the excess, but is not certain: {best.reason}.",
         )
     if misfit.total > WELL_PREDICTED and _in_most(misfit):

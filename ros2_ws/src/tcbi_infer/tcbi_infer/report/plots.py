@@ -73,7 +73,8 @@ def ladder(errors: Sequence[tuple[str, float]], repeated: bool | None = None) ->
     with matplotlib.rc_context(STYLE):
         values = np.array([value for _, value, _ in bars])
         figure, axes = canvas(0.55 + 0.36 * len(values), WIDE)
-        axes.barh(np.arange(len(values)), values, color=[color for *_, color in bars], height=0.62)
+        shown = np.where(np.isfinite(values), values, 0.0)
+        axes.barh(np.arange(len(values)), shown, color=[color for *_, color in bars], height=0.62)
         for y, value in enumerate(values):
             if not np.isfinite(value):
                 axes.annotate("no prediction: diverged", (0, y), (4, 0), textcoords="offset points", va="center")
@@ -83,7 +84,7 @@ def ladder(errors: Sequence[tuple[str, float]], repeated: bool | None = None) ->
         axes.axvline(1.0, color=GREY, lw=0.8, ls="--")
         axes.set_yticks(np.arange(len(values)), [label for label, *_ in bars])
         axes.invert_yaxis()
-        axes.set_xlim(0, float(np.nanmax(values)) * 1.12)
+        axes.set_xlim(0, float(shown.max()) * 1.12)
         axes.set_xlabel("error / noise floor")
         axes.tick_params(axis="y", length=0)
         return to_svg(figure)

@@ -1,0 +1,167 @@
+"""Which candidates are fitted, from which starts and how far; simulations are counted, none is run."""
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tcbi_infer.diagnose import diagnosis, search
+from tcbi_infer.diagnose.search import Search
+from tcbi_infer.diagnose.settings import Settings
+
+BASE_LOSS = 1000.0
+BASE = np.array([0.5, 0.5])
+
+
+class Fake:
+    """A fitter of one use, or of the base model; notes in `calls` what it was asked."""
+
+    calls: list[tuple[str, str]]
+    losses: dict[str, float]
+    starts: dict[str, np.ndarray]
+
+    def __init__(self, problem: Any, model: str, *_: Any) -> None:
+        self.model = model
+
+    def on_few_sets(self) -> "Fake":
+        return self
+
+    def few_positions(self) -> np.ndarray:
+        return np.array([0])
+
+    def predict(self, starts: np.ndarray) -> np.ndarray:
+        self.calls.append(("predict", self.model))
+        return np.atleast_2d(starts)
+
+    def start_losses(self, predicted: np.ndarray, _: Any) -> list[float]:
+        return [self.losses[self.model]] * len(predicted)
+
+    def run(self, starts: np.ndarray, steps: Sequence[float] = ()) -> Any:
+        self.starts[self.model] = starts
+        return fitted(self.losses[self.model])
+
+    def escape(self, fit: Any, *_: Any) -> Any:
+        self.calls.append(("escape", self.model))
+        return fit
+
+
+def fitted(loss: float) -> Any:
+    return SimpleNamespace(total=loss, loss=np.array([loss]), unit=np.r_[BASE, 0.3], nuisance=np.zeros(1))
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A search among uses of which each fit ends at a loss that a test wants, and the calls that it makes."""
+
+    def make(losses: dict[str, float]) -> tuple[Search, list[tuple[str, str]]]:
+        Fake.calls, Fake.losses, Fake.starts = [], {"base": BASE_LOSS, **losses}, {}
+
+        def starts(screen: Any, data: Any, use: int, base: Any, fitter: Fake) -> np.ndarray:
+            Fake.calls.append(("starts", fitter.model))
+            return np.array([[0.1, 0.2, use]])
+
+        def fine(problem: Any, fit: Any, *_: Any) -> Any:
+            Fake.calls.append(("fine", next(u for u, loss in losses.items() if loss == fit.total)))
+            return fit
+
+        monkeypatch.setattr(search, "Fitter", Fake)
+        monkeypatch.setattr(search, "start_points", starts)
+        monkeypatch.setattr(search, "refined", fine)
+        screen = SimpleNamespace(
+            directions=SimpleNamespace(uses=tuple(losses), models=tuple(losses)),
+            sized=lambda data, use, sizes, count: np.array(sizes)[:, None],
+        )
+        base = SimpleNamespace(unit=BASE, model="base")
+        nuisance = SimpleNamespace(effect=np.zeros((1, 1, 1, 1)), names=("lf_coxa",))
+        gains, quiet = np.ones((1, len(losses))), lambda stage, share: None
+        settings: Any = Settings()
+        sets: Any = np.array([0])
+        problem: Any = None
+        made = Search(problem, base, BASE_LOSS, nuisance, screen, problem, gains, sets, settings, quiet)  # type: ignore[arg-type]
+        return made, Fake.calls
+
+    return make
+
+
+def asked(calls: list[tuple[str, str]], what: str) -> list[str]:
+    return [use for name, use in calls if name == what]
+
+
+def test_starts_far_from_the_base_fit_are_looked_for_once(made):
+    looked, calls = made({"a": 500.0, "b": 300.0, "c": 200.0, "d": 400.0})
+    chosen = looked.hidden([0])
+    assert list(chosen) == [2, 1] and asked(calls, "starts") == ["b", "c", "d"]
+    looked.fit(chosen, (0.8, 0.85))
+    assert asked(calls, "starts") == ["b", "c", "d"]
+    assert Fake.starts["c"].tolist() == [[0.1, 0.2, 2]]
+
+
+def test_who_gains_a_hundredth_of_the_best_one_gets_neither_an_escape_nor_fine_steps(made):
+    looked, calls = made({"best": 100.0, "poor": 991.0, "fair": 700.0})
+    fits = looked.fit([0], (0.5, 0.7))
+    assert asked(calls, "escape") == asked(calls, "fine") == ["best"]
+    later = looked.fit([1, 2], (0.7, 0.8), fits)
+    assert list(later) == [2]
+    assert asked(calls, "escape") == ["best"] and asked(calls, "fine") == ["best", "fair"]
+
+
+def test_who_leads_over_all_that_was_fitted_looks_for_other_valleys(made):
+    looked, calls = made({"first": 700.0, "leader": 100.0, "second": 650.0})
+    fits = looked.fit([0], (0.5, 0.7))
+    assert list(looked.fit([1, 2], (0.7, 0.8), fits)) == [1, 2]
+    assert asked(calls, "escape") == ["first", "leader"]
+
+
+def test_a_nuisance_is_no_rival(made):
+    uses = ["weak_leg:lf", "gain_scatter:lf_coxa", "gain_scatter:rf_coxa", "joint_offset:lf_coxa"]
+    looked, calls = made(dict.fromkeys(uses, 100.0))
+    rivals = looked.rivals({0: (fitted(100.0), fitted(100.0))})
+    assert asked(calls, "predict") == ["base", "gain_scatter:rf_coxa", "joint_offset:lf_coxa"]
+    assert list(rivals) == [2, 3]
+    assert rivals[2].tolist() == [[*BASE, search.RIVAL_SIZES[0]], [0.1, 0.2, 2]]
+
+
+class TwoValleys:
+    """A fitter of one parameter whose loss is 50 in the wide valley at 0.2 and 0 in the narrow one at 0.8."""
+
+    used = 0
+
+    def __init__(self, *_: Any) -> None:
+        TwoValleys.used += 1
+
+    def on_few_sets(self) -> "TwoValleys":
+        return self
+
+    def loss(self, unit: np.ndarray) -> float:
+        return float(min(50 + 100 * abs(unit[0] - 0.2), 2000 * abs(unit[0] - 0.8)))
+
+    def run(self, starts: np.ndarray, nuisance: Any = None, steps: Sequence[float] = ()) -> Any:
+        start = min(starts, key=self.loss)
+        unit = np.array([0.8 if start[0] > 0.7 else 0.2])
+        return SimpleNamespace(unit=unit, total=self.loss(unit))
+
+
+def base_again(monkeypatch: pytest.MonkeyPatch, *starts: float) -> Any:
+    """The base model's fit where candidates ended at these base parameters, the present one being at 0.2."""
+    monkeypatch.setattr(diagnosis, "Fitter", TwoValleys)
+    TwoValleys.used = 0
+    run = SimpleNamespace(problem=None, model=None, sets=None, settings=Settings(), progress=lambda stage, share: None)
+    fits = {u: (SimpleNamespace(unit=np.array([start, 0.5]), total=0.0), None) for u, start in enumerate(starts)}
+    coarse = SimpleNamespace(unit=np.array([0.2]), nuisance=np.zeros(0), total=50.0)
+    found: Any = SimpleNamespace(fits=fits, coarse=coarse, base=coarse)
+    itself: Any = run
+    nuisance: Any = None
+    return diagnosis._Run._better_base(itself, found, nuisance)
+
+
+def test_a_valley_far_off_is_shown_to_the_base_model_though_a_nearer_start_loses_less(monkeypatch):
+    better = base_again(monkeypatch, 0.22, 0.3, 0.75)
+    assert better is not None and better.unit[0] == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize("starts", [(), (0.17, 0.24)])
+def test_the_base_model_is_not_fitted_again_from_where_it_is(monkeypatch, starts):
+    assert base_again(monkeypatch, *starts) is None
+    assert TwoValleys.used == 0
