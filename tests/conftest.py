@@ -21,11 +21,13 @@ from rclpy.qos import QoSProfile
 from tcbi_bringup.graph_monitor import GraphMonitor
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_contract import names
+from tcbi_contract.goals import SentGoal
 from tcbi_msgs.srv import ResetEpisode
 from tests.stalls import StalledMachine, StallWatch
 
 DEADLINE_S = 90.0  # far beyond what is needed, for a machine that does much else
 RESETS, RESET_PAUSE_S = 5, 1.0
+ASK_AGAIN_S = 5.0  # after a goal that nothing is heard of: the middleware may lose an answer
 
 
 @pytest.hookimpl(wrapper=True)
@@ -132,6 +134,28 @@ class Peer:
                 return answer
             self.comes(lambda: False, RESET_PAUSE_S)
         raise AssertionError(f"reset was refused {RESETS} times: {answer.message}")
+
+    def send(
+        self, client: Any, action: Any, goal: Any, heard: Callable[[Any], None] = lambda message: None
+    ) -> SentGoal:
+        """A goal that its server has taken or refused."""
+        self.wait_until(client.server_is_ready, "the action's server")
+        sent = SentGoal(client, action, goal, heard)
+        self._ask(sent, lambda: sent.taken or sent.refused, "the answer to the goal", DEADLINE_S)
+        return sent
+
+    def end(self, sent: SentGoal, what: str, timeout_s: float = DEADLINE_S) -> Any:
+        """Status and result of a goal."""
+        self._ask(sent, lambda: sent.end is not None, what, timeout_s)
+        return sent.end
+
+    def _ask(self, sent: SentGoal, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
+        def comes() -> bool:
+            if sent.wants_asking(ASK_AGAIN_S):
+                sent.ask()
+            return condition()
+
+        self.wait_until(comes, what, timeout_s)
 
     def result(self, future: Any, what: str, timeout_s: float = DEADLINE_S) -> Any:
         """Wait for a future."""

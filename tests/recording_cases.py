@@ -30,21 +30,13 @@ class Collection:
     def __init__(self, peer, **goal) -> None:
         self.peer, self.told = peer, []
         self._client = ActionClient(peer.node, CollectRollouts, names.COLLECT_ROLLOUTS)
-        peer.wait_until(self._client.server_is_ready, "the recorder's action")
-        sent = self._client.send_goal_async(
-            CollectRollouts.Goal(**goal), feedback_callback=lambda m: self.told.append(m.feedback)
+        self.sent = peer.send(
+            self._client, CollectRollouts, CollectRollouts.Goal(**goal), lambda m: self.told.append(m.feedback)
         )
-        self.handle = peer.result(sent, "the answer to the goal")
-        self._asked = [self.handle.get_result_async()] if self.handle.accepted else []
 
     def ended(self) -> bool:
-        return any(future.done() for future in self._asked)
+        return self.sent.end is not None
 
     def result(self):
-        for _ in range(9):  # the middleware may lose a question or its answer
-            if self.peer.comes(self.ended, 10.0):
-                break
-            self._asked.append(self.handle.get_result_async())
-        assert self.ended(), "the end of the collection did not come"
-        answer = next(future for future in self._asked if future.done()).result()
+        answer = self.peer.end(self.sent, "the end of the collection")
         return answer.status, answer.result

@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool
 from tcbi_bringup.arguments import Parser
 from tcbi_bringup.commands import collect
 from tcbi_contract import messages, names
+from tcbi_contract.goals import SentGoal
 from tcbi_infer import collect_client, collector
 from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.collection import Request, scenario_of
@@ -277,34 +278,49 @@ def test_a_service_that_does_not_answer_is_asked_once_more_and_its_last_answer_c
     assert robot.resets == 2
 
 
-def test_the_end_of_a_collection_is_asked_for_again_where_the_first_question_is_lost(domain, monkeypatch):
-    class Goal:
-        def __init__(self) -> None:
-            self.asked: list[Future] = []
+class DeafClient:
+    """An action client's inside whose server loses answers: to the goal, and to the first question for its end."""
 
-        def get_result_async(self) -> Future:
-            self.asked.append(Future())
-            if len(self.asked) == 2:
-                self.asked[-1].set_result("the end")
-            return self.asked[-1]
+    def __init__(self, *ends) -> None:
+        self.asked, self._ends = 0, list(ends)
 
-    monkeypatch.setattr(collect_client, "ASK_AGAIN_S", 0.3)
-    goal = Goal()
-    with collect_client.CollectClient(domain) as client:
-        assert client._end(goal).result() == "the end"
-    assert len(goal.asked) == 2
+    def send_goal_async(self, *_, **__) -> Future:
+        return Future()
+
+    def _get_result_async(self, _) -> Future:
+        self.asked += 1
+        future = Future()
+        if self.asked > 1:
+            future.set_result(self._ends.pop(0))
+        return future
+
+
+def test_the_end_of_a_goal_is_asked_for_again_where_answers_are_lost():
+    client = DeafClient(SimpleNamespace(status=GoalStatus.STATUS_SUCCEEDED, result="the end"))
+    sent = SentGoal(client, CollectRollouts, CollectRollouts.Goal())
+    assert not (sent.taken or sent.refused or sent.wants_asking(0.2))
+    time.sleep(0.25)
+    assert sent.wants_asking(0.2)
+    sent.ask()
+    assert not (sent.taken or sent.refused or sent.wants_asking(0.2)) and sent.end is None
+    sent.ask()
+    assert sent.taken and sent.end.result == "the end"
+
+
+def test_a_goal_that_its_server_does_not_know_was_not_taken():
+    sent = SentGoal(DeafClient(SimpleNamespace(status=GoalStatus.STATUS_UNKNOWN)), CollectRollouts, None)
+    sent.ask()
+    sent.ask()
+    assert sent.refused and not sent.taken
 
 
 def test_a_recorder_that_was_restarted_meanwhile_is_named(domain, monkeypatch):
-    def done(result) -> Future:
-        future = Future()
-        future.set_result(result)
-        return future
-
     answer = SimpleNamespace(status=GoalStatus.STATUS_UNKNOWN, result=CollectRollouts.Result())
-    goal = SimpleNamespace(accepted=True, get_result_async=lambda: done(answer))
+    monkeypatch.setattr(collect_client, "ASK_AGAIN_S", 0.1)
     with collect_client.CollectClient(domain) as client:
+        deaf = DeafClient(answer)
         monkeypatch.setattr(client._client, "server_is_ready", lambda: True)
-        monkeypatch.setattr(client._client, "send_goal_async", lambda *_, **__: done(goal))
+        monkeypatch.setattr(client._client, "send_goal_async", deaf.send_goal_async)
+        monkeypatch.setattr(client._client, "_get_result_async", deaf._get_result_async)
         with pytest.raises(RecordingError, match=r"restarted meanwhile .* finished rollouts lie in its folder"):
             client.collect(Request("balance", 1))

@@ -189,11 +189,10 @@ def test_a_diagnosis_is_an_action_with_feedback(start_graph, peer, node, tmp_pat
     quiet = NodeProcess("tcbi_infer", "inference_node", parameters={**node.parameters, "least_rollouts": 100})
     start_graph(quiet)
     client, heard = ActionClient(peer.node, Diagnose, names.DIAGNOSE), []
-    peer.wait_until(client.server_is_ready, "the action diagnose")
     goal = Diagnose.Goal(bags=[str(tmp_path / "bags" / name) for name in ids], model=f"{RIG}-v0")
-    handle = peer.result(client.send_goal_async(goal, feedback_callback=heard.append), "the goal")
-    assert handle.accepted
-    result = peer.result(handle.get_result_async(), "the diagnosis", 2 * WORK_S).result
+    sent = peer.send(client, Diagnose, goal, heard.append)
+    assert sent.taken
+    result = peer.end(sent, "the diagnosis", 2 * WORK_S).result
     assert result.success, result.message
     assert result.diagnosis.model == f"{RIG}-v0" and result.diagnosis.statement == result.message
     fractions = [message.feedback.fraction for message in heard]

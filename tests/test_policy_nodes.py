@@ -262,17 +262,15 @@ def test_retraining_is_cancelled_at_once_and_resumed_and_says_whether_the_result
     retrain = NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(tmp_path)})
     start_graph(policy_node(policy="balance", store=str(tmp_path)), retrain)
     client = ActionClient(peer.node, Retrain, names.RETRAIN)
-    peer.wait_until(client.server_is_ready, "the action server")
     feedback: list[Any] = []
     goal = Retrain.Goal(task="balance", budget_s=8.0)
-    handle = peer.result(client.send_goal_async(goal, feedback.append), "the goal's acceptance")
-    assert handle.accepted
+    sent = peer.send(client, Retrain, goal, feedback.append)
+    assert sent.taken
     peer.wait_until(lambda: bool(feedback), "feedback", 110.0)
-    peer.result(handle.cancel_goal_async(), "the answer to the cancellation")
-    result = peer.result(handle.get_result_async(), "the end of the cancelled goal", 5.0).result
+    peer.result(sent.handle.cancel_goal_async(), "the answer to the cancellation")
+    result = peer.end(sent, "the end of the cancelled goal", 10.0).result
     assert not result.success and "cancelled" in result.message
-    again = peer.result(client.send_goal_async(goal), "the second goal's acceptance")
-    result = peer.result(again.get_result_async(), "the result", 110.0).result
+    result = peer.end(peer.send(client, Retrain, goal), "the result", 110.0).result
     assert result.success, result.message
     assert result.accepted == (result.message.startswith("better"))
     assert np.isfinite([result.return_before, result.return_after]).all()

@@ -111,7 +111,7 @@ def test_a_killed_recorder_loses_at_most_the_last_second(start_graph, peer, tmp_
     graph.send_signal("recorder_node", signal.SIGKILL)
     last = messages.seconds(seen[-1].header.stamp)
     assert graph.wait_for_exit("recorder_node", 10.0) == -signal.SIGKILL
-    assert collection.handle.accepted
+    assert collection.sent.taken
     (left,) = (tmp_path / "bags").glob("*.recording")
     m = read_measurement(left)
     assert begin + m.time[-1] > last - 1.0
@@ -147,12 +147,12 @@ def test_cancelling_aborts_the_rollout_and_keeps_what_was_recorded(start_graph, 
     for _ in range(3):  # a busy machine may hold up the policy, which ends a rollout
         collection = Collection(peer, task="balance", number=3, seed=2)
         second = Collection(peer, task="balance", number=1)
-        assert collection.handle.accepted and not second.handle.accepted
+        assert collection.sent.taken and not second.sent.taken
         begun = lambda one=collection: any(t.remaining_s < 6.5 for t in one.told)  # noqa: E731
         peer.wait_until(lambda one=collection, begun=begun: begun() or one.ended(), "the first seconds")
         if begun():
             break
-    peer.result(collection.handle.cancel_goal_async(), "the answer to the cancelling")
+    peer.result(collection.sent.handle.cancel_goal_async(), "the answer to the cancelling")
     status, result = collection.result()
     assert status == GoalStatus.STATUS_CANCELED and not result.success and list(result.bags) == []
     peer.wait_until(lambda: events[-1].kind == RolloutEvent.ABORT, "ABORT")

@@ -19,6 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64
 
 from tcbi_contract import messages, names
+from tcbi_contract.goals import SentGoal
 from tcbi_infer.collection import Request
 from tcbi_infer.collection_messages import goal_of
 from tcbi_infer.errors import RecordingError
@@ -77,15 +78,9 @@ class CollectClient:
                 f"nobody offers {names.COLLECT_ROLLOUTS} after {ready_s:g} s; start the graph (./tcbi up), "
                 "or let --robot start one"
             )
-        sent = self._client.send_goal_async(goal_of(request), feedback_callback=self._on_feedback)
+        sent = SentGoal(self._client, CollectRollouts, goal_of(request), self._on_feedback)
         try:
-            if not self._until(sent.done, ready_s, self.while_waiting):
-                raise RecordingError(
-                    f"the recorder did not answer within {ready_s:g} s; look at the log of recorder_node"
-                )
-            if not sent.result().accepted:
-                raise RecordingError("the recorder is busy with another rollout; wait for its end, or cancel it")
-            ended = self._end(sent.result())
+            ended = self._end(sent, ready_s)
         except KeyboardInterrupt:
             ended = self._cancelled(sent)
             if ended is None:
@@ -93,28 +88,36 @@ class CollectClient:
         except BaseException:  # the signal to end, or the graph has failed: nobody would take the rollouts any more
             self._cancelled(sent)
             raise
-        answer = ended.result()
-        if answer.status == GoalStatus.STATUS_UNKNOWN:
+        if ended.status == GoalStatus.STATUS_UNKNOWN:
             raise RecordingError(
                 "the recorder was restarted meanwhile and knows nothing of this collection; finished rollouts lie in "
                 f"{request.folder or 'its folder'}; look at the log of recorder_node"
             )
-        return answer.result, answer.status == GoalStatus.STATUS_SUCCEEDED
+        return ended.result, ended.status == GoalStatus.STATUS_SUCCEEDED
 
-    def _end(self, goal: Any) -> Any:
-        """Wait for a goal's end, asked for again and again: the middleware may lose a question or its answer."""
-        asked, watch = [goal.get_result_async()], self._recorder_watch()
-        while not self._until(lambda: any(future.done() for future in asked), ASK_AGAIN_S, watch):
-            asked.append(goal.get_result_async())
-        return next(future for future in asked if future.done())
+    def _end(self, sent: SentGoal, ready_s: float) -> Any:
+        """Wait until a goal is taken, at most `ready_s`, and for its end."""
+        watch, deadline = self._recorder_watch(), time.monotonic() + ready_s
+        while sent.end is None:
+            if sent.refused:
+                raise RecordingError("the recorder is busy with another rollout; wait for its end, or cancel it")
+            if not sent.taken and time.monotonic() > deadline:
+                raise RecordingError(
+                    f"the recorder did not answer within {ready_s:g} s; look at the log of recorder_node"
+                )
+            if sent.wants_asking(ASK_AGAIN_S):
+                sent.ask()
+            (watch if sent.taken else self.while_waiting)()
+            self._executor.spin_once(timeout_sec=0.1)
+        return sent.end
 
-    def _cancelled(self, sent: Any) -> Any | None:
+    def _cancelled(self, sent: SentGoal) -> Any | None:
         """Take a goal back, and wait until its rollout is closed; its end, or None if it does not come in time."""
-        if not self._client.server_is_ready() or not self._until(sent.done, CANCEL_S) or not sent.result().accepted:
+        if sent.refused or not self._client.server_is_ready():
             return None
-        sent.result().cancel_goal_async()
-        ended = sent.result().get_result_async()
-        return ended if self._until(ended.done, CANCEL_S) else None
+        sent.handle.cancel_goal_async()
+        sent.ask()
+        return sent.end if self._until(lambda: sent.end is not None, CANCEL_S) else None
 
     def _recorder_watch(self) -> Callable[[], None]:
         """What raises once the recorder has been away for GONE_S."""

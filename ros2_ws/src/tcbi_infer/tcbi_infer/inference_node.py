@@ -7,16 +7,14 @@ enough since the last training.
 
 import math
 import time
-import uuid
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
-from rclpy.action.client import ClientGoalHandle
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
@@ -24,6 +22,7 @@ from rclpy.node import Node
 
 from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
+from tcbi_contract.goals import SentGoal
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_infer.diagnose import adopt
@@ -76,37 +75,6 @@ class InferenceParameters:
     poll_s: float = parameter(1.0, "how often to look for finished bags and for the worker's news", low=0.05, high=60.0)
 
 
-@dataclass
-class Training:
-    """One that was asked for, until its end is known; instants in s of the steady clock."""
-
-    goal: Retrain.Goal
-    handle: ClientGoalHandle
-    answer: Any = None  # a future: whether the goal is accepted
-    ends: list[Any] = field(default_factory=list)  # futures of its end, which is asked for again and again
-    heard: float = field(default_factory=time.monotonic)  # of it, or asked after it
-    served: float = field(default_factory=time.monotonic)  # the server was there
-
-    def hear(self, _: Any) -> None:
-        """It has told of its progress."""
-        self.heard = time.monotonic()
-
-    def ask(self) -> None:
-        """Ask for its end: the middleware may lose a question or its answer."""
-        self.ends.append(self.handle.get_result_async())
-        self.heard = time.monotonic()
-
-    @property
-    def refused(self) -> bool:
-        """Whether the server has not accepted it."""
-        return bool(self.answer.done() and not self.answer.result().accepted)
-
-    @property
-    def end(self) -> Any | None:
-        """Its status and result; None while it runs."""
-        return next((future.result() for future in self.ends if future.done()), None)
-
-
 class InferenceNode(Node):
     """One worker at a time; no callback waits for it but the diagnose action's, which has a thread of its own."""
 
@@ -126,7 +94,8 @@ class InferenceNode(Node):
         self._warned: set[str] = set()  # each inference reads all bags again and says the same of them
         self._state, self._fault = "waiting for rollouts", ""
         self._diagnosing = self._closing = False
-        self._training: Training | None = None
+        self._training: SentGoal | None = None
+        self._served = 0.0  # s of the steady clock, when the retrain server was last there
         self._wish: Retrain.Goal | None = None  # for a training; a later one takes its place
         self._ask_after = 0.0  # s of the steady clock
         self._open()
@@ -252,35 +221,26 @@ class InferenceNode(Node):
         elif self._wish is not None and time.monotonic() >= self._ask_after and self._retrain.server_is_ready():
             goal, self._wish = self._wish, None
             self.get_logger().info(f"asks for a training on {goal.model}")
-            self._training = self._sent(goal)
+            self._training, self._served = SentGoal(self._retrain, Retrain, goal), time.monotonic()
 
-    def _sent(self, goal: Retrain.Goal) -> Training:
-        """A goal that is on its way, under an id by which its end can be asked for even if no answer comes."""
-        goal_id = Retrain.Impl.SendGoalService.Request().goal_id
-        goal_id.uuid = list(uuid.uuid4().bytes)
-        accepted = Retrain.Impl.SendGoalService.Response(accepted=True)
-        training = Training(goal, ClientGoalHandle(self._retrain, goal_id, accepted))
-        training.answer = self._retrain.send_goal_async(goal, feedback_callback=training.hear, goal_uuid=goal_id)
-        return training
-
-    def _follow(self, training: Training) -> None:
+    def _follow(self, training: SentGoal) -> None:
         """Take a training's end, or notice that its server has been started anew, or has gone."""
-        now, end = time.monotonic(), training.end
+        now, model = time.monotonic(), training.goal.model
         if self._retrain.server_is_ready():
-            training.served = now
-        if training.refused:
+            self._served = now
+        if training.end is not None and training.end.status == GoalStatus.STATUS_UNKNOWN:
+            self._wish_again(training, f"the retrain server knows no training on {model}; asked again")
+        elif training.refused:
             self._ask_after = now + BUSY_S
             self._wish_again(training, f"the retrain server is busy; asked again in {BUSY_S:.0f} s")
-        elif end is not None and end.status == GoalStatus.STATUS_UNKNOWN:
-            self._wish_again(training, f"the retrain server knows no training on {training.goal.model}; asked again")
-        elif end is not None:
-            self._on_trained(training.goal.model, end.result)
-        elif now - training.served > GONE_S:
+        elif training.end is not None:
+            self._on_trained(model, training.end.result)
+        elif now - self._served > GONE_S:
             self._wish_again(training, "the retrain server has gone; it is asked again as soon as it is back")
-        elif now - training.heard > ASK_AGAIN_S or (training.answer.done() and not training.ends):
+        elif training.wants_asking(ASK_AGAIN_S):
             training.ask()
 
-    def _wish_again(self, training: Training, why: str) -> None:
+    def _wish_again(self, training: SentGoal, why: str) -> None:
         """Give a training up; the same goal goes on from its last checkpoint, unless there is a later wish."""
         self._training, self._wish = None, self._wish or training.goal
         self.get_logger().warning(why)

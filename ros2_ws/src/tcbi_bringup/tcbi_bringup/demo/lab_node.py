@@ -19,12 +19,13 @@ from rclpy.node import Node
 
 from tcbi_bringup.errors import DemoError
 from tcbi_contract import names
+from tcbi_contract.goals import SentGoal
 from tcbi_msgs.action import CollectRollouts, Retrain
 from tcbi_msgs.srv import LoadPolicy
 
 APPEAR_S = 60.0  # for a node to appear
 ANSWER_S = 30.0  # for a service to answer
-ASK_AGAIN_S = 20.0  # for the end of a goal
+ASK_AGAIN_S = 10.0  # for the end of a goal
 POLL_S = 0.02
 
 Feedback = Callable[[Any], None]
@@ -77,7 +78,7 @@ class LabNode(Node):
         )
         if slope is not None:
             goal.slope_roll, goal.slope_pitch = [float(slope[0])], [float(slope[1])]
-        result = self._do(self._collect, goal, None)
+        result = self._do(self._collect, CollectRollouts, goal, None)
         if not result.success:
             raise DemoError(f"recording failed: {result.message}")
         return Path(result.bags[0])
@@ -90,7 +91,7 @@ class LabNode(Node):
         """
         goal = Retrain.Goal(task=task, model=model, budget_s=budget_s, seed=seed)
         _until(self._retrain.server_is_ready, APPEAR_S, f"{names.RETRAIN} did not appear within {APPEAR_S:.0f} s")
-        result = self._do(self._retrain, goal, feedback)
+        result = self._do(self._retrain, Retrain, goal, feedback)
         if not result.success:
             raise DemoError(f"training failed: {result.message}")
         return result
@@ -115,25 +116,25 @@ class LabNode(Node):
         _until(task.done, ANSWER_S, "the lab node does not spin")
         return task.result()
 
-    def _do(self, client: ActionClient, goal: Any, feedback: Feedback | None) -> Any:
+    def _do(self, client: ActionClient, action: Any, goal: Any, feedback: Feedback | None) -> Any:
         heard = None if feedback is None else (lambda message: feedback(message.feedback))
-        sent = self._spun(lambda: client.send_goal_async(goal, feedback_callback=heard))
-        _until(sent.done, ANSWER_S, "an action server did not answer")
-        handle = sent.result()
-        if not handle.accepted:
-            raise DemoError("an action server refused its goal; is another one under way?")
-        asked: list[Any] = []
+        sent: SentGoal = self._spun(lambda: SentGoal(client, action, goal, *([heard] if heard else [])))
+        deadline = time.monotonic() + ANSWER_S
         try:
-            while not any(future.done() for future in asked):  # the middleware may lose a question or its answer
-                asked.append(self._spun(handle.get_result_async))
-                with contextlib.suppress(DemoError):
-                    _until(lambda: any(future.done() for future in asked), ASK_AGAIN_S, "")
+            while sent.end is None:
+                if sent.refused:
+                    raise DemoError("an action server refused its goal; is another one under way?")
+                if not sent.taken and time.monotonic() > deadline:
+                    raise DemoError("an action server did not answer")
+                if sent.wants_asking(ASK_AGAIN_S):
+                    self._spun(sent.ask)
+                time.sleep(POLL_S)
         except KeyboardInterrupt:
-            cancelled = self._spun(handle.cancel_goal_async)
+            cancelled = self._spun(sent.handle.cancel_goal_async)
             with contextlib.suppress(DemoError):
                 _until(cancelled.done, 2.0, "no answer to a cancellation")
             raise
-        return next(future.result().result for future in asked if future.done())
+        return sent.end.result
 
 
 def _until(
