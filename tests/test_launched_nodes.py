@@ -161,6 +161,30 @@ def test_a_node_that_hangs_when_it_is_told_to_end_says_where_and_ends(domain):
     assert node.returncode == 1 and "in hang" in error
 
 
+@pytest.mark.parametrize(("holds", "status"), [(False, 0), (True, 0), (True, 1)])
+def test_a_middleware_that_does_not_let_go_costs_a_node_neither_its_end_nor_its_status(domain, tmp_path, holds, status):
+    """`holds`: with the interpreter in its hands, so that nothing of Python goes on."""
+    code = (
+        "import ctypes, sys, time; from rclpy.node import Node; from tcbi_contract import running\n"
+        "from tcbi_contract.errors import TcbiError\n"
+        "running.PARTING_S = 1.0\n"
+        "class Held(Node):\n"
+        "    def __init__(self): super().__init__('held'); self.create_timer(0.1, self.work)\n"
+        f"    def work(self): print('works', flush=True); {'raise TcbiError(chr(120))' if status else 'pass'}\n"
+        f"    def leave(self): open({str(tmp_path / 'left')!r}, 'w').close()\n"
+        f"    def destroy_node(self): {'ctypes.PyDLL(None).sleep(600)' if holds else 'time.sleep(600)'}\n"
+        "raise SystemExit(running.run('held', Held))\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as node:
+        assert node.stdout is not None and node.stdout.readline() == "works\n"
+        node.send_signal(signal.SIGTERM)
+        _, error = node.communicate(timeout=60)
+    assert node.returncode == status and (tmp_path / "left").exists()
+    assert "in destroy_node" in error, "where it hung"
+
+
 def test_a_domain_is_held_also_where_the_users_runtime_folder_is_not_there(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "gone"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))

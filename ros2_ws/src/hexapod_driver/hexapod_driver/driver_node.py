@@ -94,10 +94,9 @@ class DriverNode(Node):
         self.link.start()
         self.get_logger().info(f"robot on {self.parameters.port} is ready and limp")
 
-    def destroy_node(self) -> None:
-        """Torque off, port closed, and then the node's end."""
+    def leave(self) -> None:
+        """Torque off, port closed."""
         self.link.close()
-        super().destroy_node()
 
     def _make_publishers(self) -> None:
         qos = messages.STREAM_QOS

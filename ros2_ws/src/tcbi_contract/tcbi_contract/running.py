@@ -8,8 +8,10 @@ there); CRASHED with a traceback on any other exception, so that the launcher te
 
 rclpy's own handlers shut the context down from another thread, in the midst of what the executor does, which at times
 ends in one of rclpy's errors, or never. Here a signal only ends the spinning: the callback in hand is finished,
-then the node is destroyed and the context shut down, in this order and in one thread. Of an executor with several
-threads, a callback may go on meanwhile: the node's `destroy_node` asks it to end. A node that hangs says where.
+then the node's `leave`, if it has one, ends what is its own (a port, a bag, a worker), the node is destroyed and the
+context shut down, in this order and in one thread. Of an executor with several threads, a callback may go on meanwhile:
+`leave` asks it to end. A node that hangs says where. If it is the middleware that hangs, after all that is the node's
+own has ended, the process ends with the status that it would have had.
 """
 
 import faulthandler
@@ -31,12 +33,14 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tcbi_contract.errors import TcbiError
+from tcbi_contract.forced_exit import forced_exit
 
 CRASHED = os.EX_SOFTWARE  # 70
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EVENTS_S = 0.5  # between two looks at the events of a node's topics
 LOOK_S = 0.005
 ENDING_S = 10.0  # what still runs so long after a signal tells on stderr where it hangs, and ends with status 1
+PARTING_S = 4.0  # for the middleware to let go of a node that has ended
 
 
 def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, threads: int = 1) -> int:
@@ -64,18 +68,29 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
         while not told.to_end:
             executor.spin_once()
 
-    def end() -> None:
+    def leave() -> None:
+        for node in nodes:
+            if hasattr(node, "leave"):
+                node.leave()
+
+    def part() -> None:
         try:
             for node in nodes:
                 node.destroy_node()
         finally:
             rclpy.try_shutdown()
 
+    status = 0
     try:
         status = guarded(name, spin)
     finally:  # also of SystemExit
-        ended = guarded(name, end)
-    return status or ended
+        status = guarded(name, leave) or status
+        told.parting = True
+        faulthandler.dump_traceback_later(0.9 * PARTING_S)  # in place of the one that ends the process
+        with forced_exit(PARTING_S, status):
+            parted = guarded(name, part)
+        faulthandler.cancel_dump_traceback_later()
+    return status or parted
 
 
 def guarded(name: str, part: Callable[[], None]) -> int:
@@ -127,10 +142,15 @@ def heed_events_seldom(node: Node) -> None:
 
 
 class Told:
-    """Whether SIGINT or SIGTERM has come; ends the wait of a node's executor."""
+    """Whether SIGINT or SIGTERM has come; ends the wait of a node's executor.
+
+    Attributes:
+      to_end: one has come.
+      parting: all that is the node's own has ended.
+    """
 
     def __init__(self) -> None:
-        self.to_end = False
+        self.to_end = self.parting = False
         self._guard: GuardCondition | None = None
         heard, self._heard = os.pipe()
         os.set_blocking(self._heard, False)
@@ -146,7 +166,8 @@ class Told:
     def _listen(self, heard: int) -> None:
         while os.read(heard, 1)[0] not in SIGNALS:
             pass
-        faulthandler.dump_traceback_later(ENDING_S, exit=True)
+        if not self.parting:
+            faulthandler.dump_traceback_later(ENDING_S, exit=True)
         self.to_end = True
         if self._guard is not None:
             self._guard.trigger()

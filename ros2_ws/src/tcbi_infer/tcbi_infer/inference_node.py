@@ -354,15 +354,14 @@ class InferenceNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def destroy_node(self) -> None:
-        """End the workers, then the node."""
+    def leave(self) -> None:
+        """End the workers."""
         self._closing = True
         deadline = time.monotonic() + ENDING_S
         while self._diagnosing and time.monotonic() < deadline:
             time.sleep(DIAGNOSIS_POLL_S)
         if self._worker is not None:
             self._worker.stop()
-        super().destroy_node()
 
 
 def _texts(paths: Sequence[Path]) -> tuple[str, ...]:

@@ -282,8 +282,8 @@ class RecorderNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def destroy_node(self) -> None:
-        """Finish what is being recorded, as aborted, then end."""
+    def leave(self) -> None:
+        """Finish what is being recorded, as aborted."""
         self.fetch()
         rollout = self.recorder.rollout
         if rollout is not None:
@@ -292,7 +292,6 @@ class RecorderNode(Node):
             event.header.stamp = messages.to_stamp(now)
             self.close(event, now)
         self.folder.close()
-        super().destroy_node()
 
 
 def _aborted(template: RolloutEvent, rollout: Any, why: str) -> RolloutEvent:

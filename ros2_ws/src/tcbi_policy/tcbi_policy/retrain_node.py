@@ -122,15 +122,14 @@ class RetrainNode(Node):
             process.close()
         return TrainingProcess()
 
-    def destroy_node(self) -> None:
-        """End the training and the process that stands by, then the node; the training goes on when asked for again."""
+    def leave(self) -> None:
+        """End the training and the process that stands by; the training goes on when asked for again."""
         self._closing = True
         deadline = time.monotonic() + ENDING_S
         while self._busy and time.monotonic() < deadline:
             time.sleep(ENDING_POLL_S)
         if self._waiting is not None:
             self._waiting.close()
-        super().destroy_node()
 
     def _job(self, goal: Retrain.Goal) -> Job:
         current = reference_of(self._in_use, self._store) if self._in_use else self.values.fallback_policy
