@@ -1,5 +1,6 @@
 """bench/calibration: what it counts is right, and a stopped run goes on where it was."""
 
+import argparse
 import dataclasses
 import importlib
 import json
@@ -68,6 +69,63 @@ def test_errors_coverage_and_the_ratio_to_another_method(bench) -> None:
     assert against["value"] == 0.5 and against["met"]
     narrow = bench["figures"].figures([result(bench, i, "calibrated", e, 0.01) for i, e in enumerate(errors)])
     assert not value(narrow, "calibrated: 90 % intervals that hold the truth, of 100")["met"]
+
+
+def changed(found: list[dict], **values) -> list[dict]:
+    return [{**one, "case": {**one["case"], **values}, "simulations": 6000} for one in found]
+
+
+def targets(bench: dict[str, ModuleType], found: list[dict]) -> set:
+    rows = bench["figures"].figures(found)
+    return {row["target"] for row in rows if "RMSE" in row["name"] or "hold the truth, of 3" in row["name"]} - {None}
+
+
+def test_targets_are_those_of_the_cases_that_they_were_set_for(bench) -> None:
+    found = [result(bench, i, "calibrated", 0.01) for i in range(3)]
+    both = {0.06, "0.85 to 0.95"}
+    assert targets(bench, found) == targets(bench, changed(found, source="robot")) == both
+    for other in ({"noise": 0.02}, {"rollouts": 6}, {"task": "balance"}):
+        assert targets(bench, changed(found, **other)) == {"0.85 to 0.95"}, other
+    assert targets(bench, changed(found, source="hidden")) == set()
+    assert targets(bench, changed(found, method="paper")) == set()
+
+
+def test_methods_of_several_budgets_are_compared_with_the_rollouts_that_each_took(bench) -> None:
+    own = [result(bench, i, "calibrated", 0.01) for i in range(3)]
+    found = changed(own, generations=3) + changed([result(bench, i, "paper", 0.02) for i in range(3)], settings=[])
+    found[-1]["simulations"] = 9000
+    words = "calibrated's error over its, alpha=5, 50 x 3: 6000 simulated rollouts to 7000"
+    row = value(bench["figures"].figures(found), words)
+    assert row["value"] == 0.5 and row["target"] is None
+    apart = bench["figures"].figures(changed(own, task="balance") + found[3:])
+    assert not any("error over its" in row["name"] for row in apart)
+
+
+def options(**given) -> argparse.Namespace:
+    rest = {"source": "model", "task": "forward", "truths": "0:1", "noise": "0", "set": [], "rollouts": 20, "bins": 20}
+    return argparse.Namespace(**rest | {"duration": 8.0, "particles": 50, "generations": 6} | given)
+
+
+def test_a_method_may_have_a_budget_of_its_own_and_runs_without_a_setting_that_it_lacks(bench, capsys) -> None:
+    made = bench["main"].cases(options(methods="paper@50x15,calibrated,simopt", set=["alpha=0.25"]))
+    assert [(c.method, c.particles, c.generations, c.settings) for c in made] == [
+        ("paper", 50, 15, (("alpha", 0.25),)), ("calibrated", 50, 6, (("alpha", 0.25),)), ("simopt", 50, 6, ()),
+    ]  # fmt: skip
+    assert "simopt has no setting alpha" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="paper@50"):
+        bench["main"].cases(options(methods="paper@50"))
+    with pytest.raises(SystemExit, match="alhpa"):
+        bench["main"].cases(options(methods="paper", set=["alhpa=1"]))
+
+
+def test_an_inference_draws_from_no_stream_that_drew_its_truth(bench, monkeypatch) -> None:
+    seeds, jobs = [], bench["jobs"]
+    monkeypatch.setattr(jobs, "recorded", lambda *_: (None, []))
+    monkeypatch.setattr(jobs.Problem, "of", lambda *_, seed, **__: seeds.append(seed))
+    monkeypatch.setattr(jobs, "infer", lambda *_, seed, **__: seeds.append(seed) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        jobs.run(case(bench, 7))
+    assert len(seeds) == 2 and min(seeds) >= 10**6
 
 
 def test_ranks_are_judged_for_each_parameter_with_holms_correction(bench) -> None:

@@ -73,7 +73,7 @@ def test_a_method_to_compare_with_says_what_its_posterior_is(bags, tmp_path, cap
         (("--method", "magic"), "unknown method 'magic'; known: calibrated, paper", 2),
         (("--method", "paper", "--divergence", "magic"), "unknown divergence 'magic'; known: js, js_nearest", 2),
         (("--statistics", "speed"), "unknown statistic 'speed'; known: attitude", 2),
-        (("--set", "alpha=5"), "unknown setting of method calibrated 'alpha'; known: particles, generations", 2),
+        (("--set", "speed=5"), "unknown setting of method calibrated 'speed'; known: particles, generations", 2),
         (("--set", "prior_share=9"), "prior_share: got 9.0, allowed is 0 to 1", 2),
         (("--set", "particles=nan"), "'particles=nan' is not NAME=VALUE with a number", 2),
         (("--particles", "1"), "--particles: got '1', allowed is a whole number, 10 or more", 2),

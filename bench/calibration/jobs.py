@@ -15,6 +15,7 @@ from tcbi_infer.tcbi.result import Result as Inference
 from tcbi_sim.model import base_model
 
 Result = dict[str, Any]
+INFERENCES = 10**6  # seeds of inferences lie beyond those of truths, whose draws they must not share
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,11 +48,11 @@ def run(case: Case) -> Result:
         base_model(RIG),
         rollouts,
         statistics=method.statistics,
-        seed=case.truth,
+        seed=INFERENCES + case.truth,
         bins=case.bins,
     )
     budget = {"particles": case.particles, "generations": case.generations} if case.method != "prior" else {}
-    result = infer(problem, case.method, seed=case.truth, **budget, **dict(case.settings))
+    result = infer(problem, case.method, seed=INFERENCES + case.truth, **budget, **dict(case.settings))
     return {
         "case": json.loads(case.key()),
         "parameters": judged(result, values),

@@ -3,20 +3,22 @@
 ./tcbi python bench/calibration --quick
 ./tcbi python bench/calibration --source model --task balance --methods calibrated --truths 0:100 --keep runs.jsonl
 ./tcbi python bench/calibration --source robot --methods all --truths 0:20 --keep runs.jsonl
+./tcbi python bench/calibration --methods paper@50x15,calibrated@50x3 --truths 0:20 --keep budgets.jsonl
 ./tcbi python bench/calibration --noise 0,0.02,0.04,0.08 --methods calibrated --truths 0:20 --keep noise.jsonl
 ./tcbi python bench/calibration --figures runs.jsonl            # of what was kept; nothing is run
 
 A truth is recorded. Source `model`: drawn from the prior, simulated with finer steps and sensor noise. Source `robot`:
 an emulated robot, another implementation with its own contacts and friction. Source `hidden`: one with an effect that
 the model lacks, which an inference must say. Every method infers a truth from the same rollouts with the same number of
-simulations. `--keep FILE` holds one JSON line for each inference; what is there already is not run again, so a stopped
-run goes on.
+simulations, unless METHOD@PARTICLESxGENERATIONS says otherwise. `--keep FILE` holds one JSON line for each inference;
+what is there already is not run again, so a stopped run goes on.
 """
 
 import argparse
 import itertools
 import json
 import multiprocessing
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -40,18 +42,34 @@ QUICK = {
 def cases(options: argparse.Namespace) -> list[Case]:
     """All that is asked for, truth by truth, so that each is recorded once."""
     first, end = (int(n) for n in options.truths.split(":"))
-    methods = list(METHODS) if options.methods == "all" else options.methods.split(",")
+    methods = [_asked(text, options) for text in (METHODS if options.methods == "all" else options.methods.split(","))]
     noises = [float(x) for x in options.noise.split(",")]
-    settings = dict(pair.split("=") for pair in options.set)
     return [
         Case(
-            source, task, truth, method, noise, options.rollouts, options.duration, options.particles,
-            options.generations, options.bins, tuple((k, float(v)) for k, v in sorted(settings.items())),
+            source, task, truth, method, noise, options.rollouts, options.duration, particles, generations,
+            options.bins, settings,
         )
-        for source, task, truth, noise, method in itertools.product(
+        for source, task, truth, noise, (method, particles, generations, settings) in itertools.product(
             options.source.split(","), options.task.split(","), range(first, end), noises, methods
         )
     ]  # fmt: skip
+
+
+def _asked(text: str, options: argparse.Namespace) -> tuple[str, int, int, tuple[tuple[str, float], ...]]:
+    """Of METHOD or METHOD@PARTICLESxGENERATIONS: its name, its budget and those of the settings that it has."""
+    name, _, budget = text.partition("@")
+    wanted = re.fullmatch(r"(\d+)x(\d+)", budget or f"{options.particles}x{options.generations}")
+    if name not in METHODS or wanted is None:
+        raise SystemExit(f"--methods {text}: allowed is METHOD or METHOD@50x6, of {', '.join(METHODS)}")
+    settings = {key: float(value) for key, value in (pair.split("=") for pair in options.set)}
+    unknown = sorted(set(settings) - {field for method in METHODS.values() for field in method.settings._fields})
+    if unknown:
+        raise SystemExit(f"--set {unknown[0]}: no method has such a setting")
+    lacking = sorted(set(settings) - set(METHODS[name].settings._fields))
+    if lacking:
+        print(f"{name} has no setting {', '.join(lacking)}, and runs without", file=sys.stderr)
+    own = tuple(sorted((key, value) for key, value in settings.items() if key not in lacking))
+    return name, int(wanted[1]), int(wanted[2]), own
 
 
 def kept(path: Path | None) -> list[Result]:
@@ -102,7 +120,9 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="two truths of each task, two methods, short rollouts")
     parser.add_argument("--source", default="model", help="model, robot, hidden; with commas")
     parser.add_argument("--task", default="balance,forward", help="with commas")
-    parser.add_argument("--methods", default="calibrated", help="with commas, or all")
+    parser.add_argument(
+        "--methods", default="calibrated", help="with commas, or all; METHOD@50x6 has a budget of its own"
+    )
     parser.add_argument("--truths", default="0:100", help="first:end of their numbers")
     parser.add_argument("--noise", default="0", help="sigma of equation 14 in rad, added to what was recorded; commas")
     parser.add_argument("--rollouts", type=int, default=20)
@@ -111,7 +131,7 @@ def main() -> int:
     parser.add_argument("--generations", type=int, default=6)
     parser.add_argument("--bins", type=int, default=20)
     parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the method's own"
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="of the methods that have such a setting"
     )
     parser.add_argument("--keep", type=Path, help="file of results, one JSON object a line")
     parser.add_argument("--figures", type=Path, metavar="FILE", help="only print what this file of results says")

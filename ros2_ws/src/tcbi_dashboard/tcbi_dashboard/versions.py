@@ -94,7 +94,8 @@ def origin(model: Model) -> str:
         prior = i.get("prior", model.parent)  # versions of before do not say: the page and the demo went on from there
         before = "flat over each parameter's range" if prior == "flat" else f"what {prior} says"
         fits = i.get("fits", not any(w.startswith("no parameters reproduce") for w in i["warnings"]))
-        poorly = "" if fits else " No parameter is called told, since the model fits poorly."
+        why = "the search was too short to tell whether the model fits" if fits is None else "the model fits poorly"
+        poorly = "" if fits else f" No parameter is called told, since {why}."
         return (
             f"Inferred from {_count(i['rollouts'])} by the method {i['method']}, with {i['ess']:.0f} effective "
             f"particles; its prior is {before}.{poorly}"

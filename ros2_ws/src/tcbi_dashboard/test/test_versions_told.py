@@ -1,5 +1,6 @@
 """What the page tells of a version: the same numbers in every table, and the prior by its name."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -61,6 +62,14 @@ def test_an_inference_names_its_prior_and_says_what_could_be_learnt(store):
     assert f"its prior is what {V1} says" in found["origin"]
     assert found["notes"] == ["more could be learnt: with 26 effective particles"]
     assert found["technical"] == ["closed loop: balance"]
+
+
+@pytest.mark.parametrize(("fits", "why"), [(None, "the search was too short"), (False, "the model fits poorly")])
+def test_an_inference_says_why_no_parameter_is_called_told(store, fits, why):
+    model = store.load(V2)
+    inference = {**model.evidence["inference"], "fits": fits}
+    told = versions.origin(dataclasses.replace(model, evidence={**model.evidence, "inference": inference}))
+    assert f"No parameter is called told, since {why}" in told
 
 
 def test_a_parameter_is_told_only_where_the_inference_is_sure_and_much_narrower_is_not_called_little(store):

@@ -4,6 +4,5 @@ from tcbi_sim.model import Model
 
 
 def used_before(model: Model) -> set[str]:
-    """The rollouts that made a model version's distribution."""
-    inference = model.evidence.get("inference") or {}
-    return {*model.evidence.get("rollouts", ()), *inference.get("rollouts", ())}
+    """The rollouts that made a model version's distribution, its prior and particles kept from its parent included."""
+    return set(model.fit.rollouts)

@@ -71,7 +71,9 @@ def test_nothing_is_advised_where_nothing_is_open_or_nothing_can_be_said(bench: 
     known = tuple(dataclasses.replace(e, identified=True) for e in result.estimates)
     assert advise(problem, dataclasses.replace(result, estimates=known), motions=[STEPS]) == ()
     assert hindrance(result) == ""
-    for worse in (dataclasses.replace(result, fits=False), dataclasses.replace(result, ess=4.0)):
+    untold = dataclasses.replace(result, fits=None)
+    assert "too few particles or generations" in hindrance(untold) and "effect" not in hindrance(untold)
+    for worse in (untold, dataclasses.replace(result, fits=False), dataclasses.replace(result, ess=4.0)):
         assert hindrance(worse) and advise(problem, worse, motions=[STEPS]) == ()
     (none, *_) = advise(problem, result, motions=[])
     assert not none.tells and "no motion could be tried" in none.line()

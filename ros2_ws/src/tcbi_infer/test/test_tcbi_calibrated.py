@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tcbi_cases import normal_problem
 
-from tcbi_infer.errors import InferError
+from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import calibrated
 from tcbi_infer.tcbi.result import estimates
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised, quantiles
@@ -89,6 +89,18 @@ def test_a_model_that_cannot_fit_does_not_sound_sure() -> None:
     wide, info = width(wrong_one)
     assert info.floor_misfit[0] > 4 * info.floor_noise[0]
     assert wide > 3 * right
+
+
+def test_alpha_rises_no_further_than_the_setting_allows() -> None:
+    observed, simulate, _ = normal_problem(0.5, 0)
+
+    def alpha(**given: float) -> float:
+        settings = calibrated.CalibratedSettings(particles=40, **given)  # type: ignore[arg-type]
+        return calibrated.step(np.random.default_rng(0), calibrated.init(1), simulate, observed, settings)[1].alpha
+
+    assert alpha() > 0.02 and alpha(alpha=0.01) == pytest.approx(0.01)
+    with pytest.raises(SettingError, match=r"alpha: got 5, allowed is above 0, at most 0\.5"):
+        alpha(alpha=5)
 
 
 def test_diverged_simulations_weigh_nothing_and_all_diverged_is_an_error() -> None:

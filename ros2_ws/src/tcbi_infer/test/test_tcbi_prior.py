@@ -9,7 +9,8 @@ from tcbi_infer import posterior
 from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_infer.tcbi.driver import infer
-from tcbi_infer.tcbi.prior import MODEL, Prior
+from tcbi_infer.tcbi.method import METHODS
+from tcbi_infer.tcbi.prior import MODEL, NO_WIDTH, Prior
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import estimates
 from tcbi_sim.engine import simulate
@@ -50,6 +51,60 @@ def test_rollouts_that_made_the_model_do_not_count_twice():
     assert used_before(model) == {"run-2"}
     with pytest.raises(InferError, match="run-2"):
         Problem.of(model, measurements, prior=MODEL)
+
+
+def inferred(model: Model, measurements: list[Measurement], prior: str = "flat") -> Model:
+    """What an inference that takes no time makes of a model."""
+    return infer(Problem.of(model, measurements, prior=prior), "prior").updated_model()
+
+
+def test_rollouts_that_particles_kept_beside_a_new_effect_have_seen_do_not_count_twice():
+    first = inferred(base_model("servo_bench"), rollouts())
+    child = first.with_effect("command_latency").with_effect("rotor_inertia")
+    assert used_before(child) == used_before(first) != set()
+    with pytest.raises(InferError, match="run-0"):
+        Problem.of(child, rollouts(), prior=MODEL)
+    assert not {"kind", "inference", "rollouts", "errors"} & set(child.evidence), "it is no fit of the child"
+    assert used_before(child.without_effect("rotor_inertia")) == used_before(first)
+
+
+def test_rollouts_that_made_the_prior_of_a_version_do_not_count_twice():
+    a = rollouts()
+    b = [dataclasses.replace(m, rollout_id=f"later-{m.rollout_id}") for m in a]
+    second = inferred(inferred(base_model("servo_bench"), a), b, MODEL)
+    assert second.evidence["inference"]["rollouts"] == [m.rollout_id for m in b]
+    with pytest.raises(InferError, match="run-0"):
+        Problem.of(second, a, prior=MODEL)
+    anew = inferred(inferred(base_model("servo_bench"), a), b)
+    assert used_before(anew) == {m.rollout_id for m in b}, "a flat prior has seen nothing"
+
+
+def made_by(method: str, model: Model | None = None, **told) -> Model:
+    model = model or narrow()
+    return dataclasses.replace(model, evidence={"inference": {"method": method, "rollouts": ["old"], **told}})
+
+
+def test_a_prior_whose_width_means_little_is_told_by_the_method_that_made_it():
+    def said(model: Model) -> str:
+        return " ".join(Problem.of(model, rollouts(), prior=MODEL).warnings)
+
+    assert "the method simopt left" in said(made_by("simopt"))
+    assert "the method simopt left" in said(made_by("simopt").with_effect("command_latency"))
+    assert "did not fit the rollouts" in said(made_by("calibrated", fits=False))
+    assert "the prior" not in said(made_by("calibrated", fits=True))
+    few = narrow()
+    few = few.with_particles(few.particles[:5])
+    assert "5 effective particles" in said(made_by("calibrated", few))
+
+
+def test_a_method_says_what_the_data_leave_open_or_has_no_width_to_go_on_from():
+    assert {name for name, method in METHODS.items() if not method.judges} == {*NO_WIDTH, "prior", "npe"}
+
+
+def test_a_version_that_is_one_point_is_refused_as_a_prior():
+    model = narrow()
+    with pytest.raises(InferError, match="bayesopt made it"):
+        Problem.of(made_by("bayesopt", model.with_particles(model.particles[:1])), rollouts(), prior=MODEL)
 
 
 def test_an_unknown_prior_is_refused_by_name():

@@ -203,10 +203,11 @@ def test_too_few_or_identical_rollouts_are_refused(bench) -> None:
 def test_few_rollouts_mixed_tasks_and_repeated_ids_are_said(bench) -> None:
     model, measurements = bench
     other = dataclasses.replace(measurements[2].scenario, task="swing")
-    mixed = [*measurements[:2], dataclasses.replace(measurements[2], scenario=other), measurements[0]]
+    mixed = [*measurements[:2], dataclasses.replace(measurements[2], scenario=other, source="driver"), measurements[0]]
     problem = Problem.of(model, mixed, timestep=0.01)
     text = " ".join(problem.warnings)
     assert "only 3 rollouts" in text and "several tasks (steps, swing)" in text and "each counts once" in text
+    assert f"several sources (driver, {measurements[0].source})" in text
     assert problem.blocks == 3 and problem.observed.counts.shape[0] == 9
 
 
@@ -323,6 +324,26 @@ def test_recordings_without_a_trackers_noise_or_steps_get_none_and_noisier_track
     found = sensor_noise(recorded, nominal)
     assert found.position == pytest.approx(0.01, rel=0.15)
     assert any(line.startswith("positions are recorded with a noise of 0.0") for line in noisier(found, nominal))
+
+
+def test_simulated_readings_get_the_noise_that_is_left_of_the_recordings_between_their_stamps() -> None:
+    """Stamps at random phases of the grid: 2/3 of the variance on average, here what these phases leave."""
+    nominal, rng = load_rig("hexapod").noise, np.random.default_rng(0)
+    noise, clean = dataclasses.replace(nominal, encoder_step=0.0), hexapod_rollouts("gait:steps", count=4, duration=2.0)
+    stamps = [m.time + rng.uniform(0.0, 0.02, len(m.time)) for m in clean]
+    clean = [m.resampled(np.sort(time)) for m, time in zip(clean, stamps, strict=True)]
+    recorded = [add_noise(m, noise, rng) for m in clean]
+    problem, quiet = (Problem.of(base_model("hexapod"), ms, loop="open", timestep=0.01) for ms in (recorded, clean))
+    real, smooth = problem.groups[0].arrays, quiet.groups[0].arrays
+    seen, still = (
+        dataclasses.replace(problem, noise=n).rollouts(np.full((1, 3), 0.5))[0][0] for n in (noise, Noise(0.0))
+    )
+    for name in ("joint_position", "roll_pitch", "angular_velocity", "position"):
+        left = (getattr(real, name) - getattr(smooth, name))[..., :2].std()
+        given = (getattr(seen, name) - getattr(still, name))[..., :2].std()
+        assert given == pytest.approx(left, rel=0.1), name
+        assert left < 0.9 * getattr(noise, "attitude" if name == "roll_pitch" else name), name
+    assert problem.noise.position == pytest.approx(noise.position, rel=0.1), "what a controller reads has all of it"
 
 
 def test_statistics_without_a_finite_sample_are_named(bench, monkeypatch) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tcbi_infer.tcbi.method import Generation
-from tcbi_infer.tcbi.result import misfits, piled
+from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, estimates, misfits, piled
 from tcbi_sim.parameter import Parameter
 
 GAP = Parameter("gap", "rad", 0.0, 0.1, 0.03, null=0.0)
@@ -21,7 +21,7 @@ def last(misfit: float | None) -> Generation:
 
 @pytest.mark.parametrize("misfit", [0.1, None])
 def test_a_posterior_at_a_bound_that_fits_well_is_no_sign_of_a_wrong_model(misfit: float | None) -> None:
-    assert misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(misfit)) == []
+    assert misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(misfit), None) == ([], True)
     assert piled((GAP, MASS), AT_BOUND, EQUAL, last(misfit)) == [
         "the posterior of gap piles up at its low end, 0 rad, where the effect is absent"
     ]
@@ -33,7 +33,8 @@ def test_a_bound_that_is_not_the_null_value_may_cut_the_posterior_off() -> None:
 
 
 def test_a_posterior_at_a_bound_that_fits_poorly_says_that_the_prior_seems_to_exclude_the_data() -> None:
-    (line,) = misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(2.0))
+    (line,), fits = misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1))
+    assert fits is False
     assert line.startswith("the prior of gap seems to exclude the data: what fits best lies at its low end, 0 rad, and")
     assert piled((GAP, MASS), AT_BOUND, EQUAL, last(2.0)) == []
 
@@ -41,3 +42,33 @@ def test_a_posterior_at_a_bound_that_fits_poorly_says_that_the_prior_seems_to_ex
 def test_a_posterior_within_its_bounds_needs_no_line() -> None:
     inside = np.tile(AT_BOUND[:, 1:], 2)
     assert piled((GAP, MASS), inside, EQUAL, last(0.1)) == []
+
+
+@pytest.mark.parametrize("misfit", [2.0, 9.0])
+@pytest.mark.parametrize("before", [None, 1.2])
+def test_a_search_that_still_finds_better_fits_cannot_tell_whether_the_model_fits(
+    misfit: float, before: float | None
+) -> None:
+    earlier = None if before is None else last(before * misfit)
+    (line,), fits = misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(misfit), earlier)
+    assert fits is None
+    assert line.startswith("too few particles or generations to tell whether the model fits") and "effect" not in line
+
+
+def test_what_has_stopped_falling_is_said_whatever_else_still_falls() -> None:
+    def both(first: float, second: float) -> Generation:
+        return Generation(40.0, 0.5, np.zeros(2), {"floor_noise": [1.0, 1.0], "floor_misfit": [first, second]})
+
+    inside = np.full((40, 2), 0.5)
+    (line,), fits = misfits((GAP, MASS), inside, EQUAL, ["x", "y"], both(9.0, 6.0), both(9.5, 12.0))
+    assert fits is False and line.startswith("no parameters reproduce x: what remains of its divergence is 9 times")
+    assert misfits((GAP, MASS), inside, EQUAL, ["x", "y"], both(1.0, 3.0), both(9.5, 12.0)) == ([], True)
+
+
+@pytest.mark.parametrize("count", [10, 20])
+def test_a_parameter_that_is_not_told_is_called_told_in_one_of_twenty_at_most(count: int) -> None:
+    """Posteriors at the limit, of normal shape: of `count` particles; above 6.5 % of 1500 by chance in 1 of 250."""
+    sd = np.sqrt(IDENTIFIED_BELOW / 12)
+    draws = 0.5 + sd * np.random.default_rng(0).standard_normal((1500, count, 1))
+    told = [estimates((MASS,), unit, np.zeros(count))[0].identified for unit in draws]
+    assert 0.035 < np.mean(told) < 0.065

@@ -144,6 +144,7 @@ def simulate(
     if commands is not None and len(commands) != s:
         raise SimError(f"{s} scenarios need {s} command sequences, got {len(commands)}")
     rows, columns = (np.arange(n), np.arange(n)) if pairing == "zip" else map(np.ravel, np.indices((n, s)))
+    repeats = _repeats(scenarios)
     size = chunk if controller is not None else _chunk_size(scenarios, commands or (), len(rows), timestep, chunk)
     chunks = [
         Chunk(
@@ -151,6 +152,7 @@ def simulate(
             parameters[rows[begin : begin + size]],
             [scenarios[c] for c in columns[begin : begin + size]],
             None if commands is None else [commands[c] for c in columns[begin : begin + size]],
+            [repeats[c] for c in columns[begin : begin + size]],
         )
         for begin in range(0, len(rows), size)
     ]
@@ -169,6 +171,17 @@ class Chunk(NamedTuple):
     parameters: np.ndarray
     scenarios: list[Scenario]
     commands: list[Commands] | None
+    repeats: Sequence[int] = ()  # see `_repeats`; of a closed loop
+
+
+def _repeats(scenarios: Sequence[Scenario]) -> list[int]:
+    """(S,) how many scenarios before each one in the call have its seed: recordings may all have the same."""
+    met: dict[int, int] = {}
+    found = []
+    for scenario in scenarios:
+        found.append(met.get(scenario.seed, 0))
+        met[scenario.seed] = found[-1] + 1
+    return found
 
 
 def _chunk_size(
@@ -194,18 +207,18 @@ def _simulated(
     threads = present().threads or threads
     simulator = Simulator(model, chunk.parameters, chunk.scenarios, timestep, threads, rate, solver)
     if controller is not None:
-        return _closed_loop(simulator, controller, noise, chunk.offset)
+        return _closed_loop(simulator, controller, noise, chunk)
     assert chunk.commands is not None
     return _open_loop(simulator, chunk.commands)
 
 
-def _closed_loop(simulator: Simulator, controller: Controller, noise: Noise | None, offset: int) -> Part:
+def _closed_loop(simulator: Simulator, controller: Controller, noise: Noise | None, chunk: Chunk) -> Part:
     duration = max(s.duration for s in simulator.scenarios)
-    controller.reset(simulator.count, np.random.default_rng([offset, simulator.scenarios[0].seed]))
+    controller.reset(simulator.count, np.random.default_rng([chunk.offset, simulator.scenarios[0].seed]))
     parts, given, now = [simulator.observe()], [], _attitude(simulator.observe())
     yaw0 = roll_pitch_yaw(now)[:, 2]
     times = np.arange(np.ceil(duration * CONTROL_RATE_HZ - 1e-6)) / CONTROL_RATE_HZ  # a recording may end between ticks
-    misread = _misreadings(simulator, noise, len(times)) if noise else None
+    misread = _misreadings(simulator, noise, len(times), chunk.repeats) if noise else None
     for k, t in enumerate(times):
         last = parts[-1]
         seen = observation(last.joint_position[:, -1], _attitude(last), yaw0)
@@ -218,18 +231,18 @@ def _closed_loop(simulator: Simulator, controller: Controller, noise: Noise | No
     return Samples.concatenate(parts), times, np.stack(given, axis=1), simulator.diverged.copy()
 
 
-def _misreadings(simulator: Simulator, noise: Noise, ticks: int) -> np.ndarray:
+def _misreadings(simulator: Simulator, noise: Noise, ticks: int, repeats: Sequence[int]) -> np.ndarray:
     """(B, ticks, J + 3) white noise of the sensors on what a policy sees (the paper's equation 14), in rad.
 
-    Each simulation has its own, whatever others are simulated with it.
+    Each simulation has its own, whatever scenarios of other seeds are simulated with it.
     """
     joints = len(simulator.rig.joint_names)
     # an encoder's steps are as good as noise evenly spread over one of them
     angle = np.hypot(noise.joint_position, noise.encoder_step / np.sqrt(12))
     sd = np.r_[np.full(joints, angle), np.full(3, noise.attitude)]
     keys = [
-        [zlib.crc32(np.ascontiguousarray(row).tobytes()), scenario.seed, 14]
-        for row, scenario in zip(simulator.parameters, simulator.scenarios, strict=True)
+        [zlib.crc32(np.ascontiguousarray(row).tobytes()), scenario.seed, 14, repeat]
+        for row, scenario, repeat in zip(simulator.parameters, simulator.scenarios, repeats, strict=True)
     ]
     return sd * np.stack([np.random.default_rng(key).standard_normal((ticks, joints + 3)) for key in keys])
 

@@ -5,7 +5,7 @@ import datetime
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,14 @@ from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
 
 PRIOR_PARTICLES = 200
+
+
+class Fit(NamedTuple):
+    """What the particles of a version come from."""
+
+    rollouts: list[str]  # that they have seen, sorted; what their prior had seen is among them
+    by: str  # a method of inference, or a kind of evidence; empty where nothing was fitted
+    fits: bool | None  # False where the fit said that the model is wrong, None where it could not tell
 
 
 @dataclass(frozen=True)
@@ -65,6 +73,15 @@ class Model:
         w = np.exp(self.log_weights - self.log_weights.max())
         return w / w.sum()
 
+    @property
+    def fit(self) -> Fit:
+        """What the particles come from; those that were kept from another version have that one's fit."""
+        e, kept = self.evidence, self.evidence.get("kept", {})
+        inference = e.get("inference") or {}
+        seen = {*e.get("rollouts", ()), *inference.get("rollouts", ()), *kept.get("rollouts", ())}
+        by = inference.get("method") or e.get("kind") or kept.get("by", "")
+        return Fit(sorted(seen), by, inference.get("fits", kept.get("fits", True)))
+
     def uses(self) -> list[EffectUse]:
         """The effects in this model."""
         return uses_of(load_rig(self.rig), self.effects)
@@ -106,7 +123,7 @@ class Model:
             parameters=self.parameters + use.parameters,
             particles=np.concatenate([self.particles, new], axis=1),
             parent=self.saved_version,
-            evidence={},
+            evidence=self._kept(),
             created=now(),
         )
 
@@ -133,7 +150,7 @@ class Model:
             parameters=tuple(self.parameters[i] for i in kept),
             particles=self.particles[:, kept],
             parent=self.saved_version,
-            evidence={},
+            evidence=self._kept(),
             created=now(),
         )
 
@@ -150,6 +167,10 @@ class Model:
             evidence=evidence,
             created=now(),
         )
+
+    def _kept(self) -> dict[str, Any]:
+        """Evidence of a child that keeps these particles, which is no fit of the child's."""
+        return {"kept": self.fit._asdict()} if self.fit.rollouts else {}
 
 
 def uses_of(rig: Rig, effects: Iterable[str]) -> list[EffectUse]:

@@ -18,6 +18,7 @@ from tcbi_sim.tasks import TASKS
 RNG = np.random.default_rng(3)
 SCENARIOS = [TASKS["balance"].draw(RNG, seed) for seed in range(3)]
 SHORT = [Scenario("balance", 1.0, s.slope_roll, s.slope_pitch, seed=s.seed) for s in SCENARIOS]
+NOISE = Noise(joint_position=0.02, attitude=0.05)
 COMMANDS = [Commands(np.arange(5) * 0.2, np.random.default_rng(i).uniform(-0.3, 0.3, (5, 18))) for i in range(3)]
 
 
@@ -62,14 +63,24 @@ class Echo:
 def test_what_a_controller_reads_has_the_sensors_noise_and_each_simulation_its_own():
     model = base_model("hexapod")
     values = model.from_unit(np.random.default_rng(3).random((3, 3)))
-    noise = Noise(joint_position=0.02, attitude=0.05)
     run = functools.partial(simulate, model, controller=Echo(), timestep=0.01)
-    clean, noisy = run(values, SHORT), run(values, SHORT, noise=noise)
+    clean, noisy = run(values, SHORT), run(values, SHORT, noise=NOISE)
     first = (noisy.commands_given - clean.commands_given)[:, :, 0]  # of the same posture; later ones went other ways
     assert first[..., 3:].std() == pytest.approx(0.02, rel=0.4) and first[..., :3].std() == pytest.approx(0.05, rel=0.5)
     assert len(np.unique(first[..., 0])) == first[..., 0].size
-    alone = run(values[2:], SHORT[1:], noise=noise, chunk=1)
+    alone = run(values[2:], SHORT[1:], noise=NOISE, chunk=1)
     np.testing.assert_array_equal(alone.commands_given[0, 0], noisy.commands_given[2, 1])
+
+
+def test_scenarios_of_one_seed_are_misread_each_in_its_own_way_however_they_are_divided_up():
+    model = base_model("hexapod")
+    values = model.from_unit(np.random.default_rng(3).random((2, 3)))
+    still = [Scenario("balance", 0.4)] * 3
+    run = functools.partial(simulate, model, values, still, controller=Echo(), timestep=0.01, noise=NOISE)
+    together, apart = run(), run(chunk=1)
+    first = together.commands_given[:, :, 0, 3]
+    assert len(np.unique(first)) == first.size
+    np.testing.assert_array_equal(together.commands_given, apart.commands_given)
 
 
 def test_a_rollout_does_not_depend_on_when_others_are_commanded():

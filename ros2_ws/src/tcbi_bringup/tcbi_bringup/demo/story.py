@@ -176,7 +176,8 @@ class Story:
         saved = posterior.save(store, result)
         self.out.models.append(saved)
         told = [f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in result.estimates if e.identified]
-        nothing = "the data narrow no parameter" if result.ess >= LEAST_ESS else "too few simulations to tell"
+        enough = result.ess >= LEAST_ESS and result.fits is not None
+        nothing = "the data narrow no parameter" if enough else "too few simulations to tell"
         self.say(f"{saved.version}: {'; '.join(told) or nothing}")
         return saved
 

@@ -95,6 +95,8 @@ def posterior_rows(result: "Result", method: "Method") -> list[list[Any]]:
 def _told(estimate: "Estimate", result: "Result", method: "Method") -> str:
     if not method.judges:
         return "not judged by this method"
+    if result.fits is None:
+        return "cannot say: too few generations"
     if not result.fits:
         return "not told: the model fits poorly"
     if result.ess < LEAST_ESS:

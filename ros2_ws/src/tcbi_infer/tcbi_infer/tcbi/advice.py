@@ -66,6 +66,11 @@ class Advice:
 
 def hindrance(result: Result) -> str:
     """ "" or why no advice can be given."""
+    if result.fits is None:
+        return (
+            "no advice on what to record: too few particles or generations to tell whether the model fits; "
+            "take more generations first"
+        )
     if not result.fits:
         return "no advice on what to record: the model fits poorly, and an effect may be missing (./tcbi diagnose)"
     if result.ess < LEAST_ESS:
@@ -165,7 +170,7 @@ def statistics_of(
         return np.zeros(0, int), np.zeros((0, 0))
     kept = np.flatnonzero(upright & ~out.diverged[:, 0])
     recorded = [replace(out.measurement(n), commands=motion.commands) for n in kept.tolist()]
-    arrays = with_noise(from_measurements(recorded, recorded[0].time), problem.noise, [rng])
+    arrays = with_noise(from_measurements(recorded, recorded[0].time), problem.readings_noise, [rng])
     columns = []
     for statistic in problem.statistics:
         with failing(statistic):

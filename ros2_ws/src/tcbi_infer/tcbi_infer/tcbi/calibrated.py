@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.errors import InferError
+from tcbi_contract.errors import describe
+from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import calibration
 from tcbi_infer.tcbi.features import Features, Observed, divergences
 from tcbi_infer.tcbi.proposal import (
@@ -42,6 +43,7 @@ class CalibratedSettings(NamedTuple):
     generations: int = 6
     prior_share: float = 0.1  # of each later generation, drawn from the prior
     least_ess: float = 0.4  # of `particles`: alpha rises no further than this allows
+    alpha: float = calibration.LARGEST_ALPHA  # at most; a smaller one widens the posterior
 
 
 class CalibratedState(NamedTuple):
@@ -93,8 +95,11 @@ def step(
       settings: budget.
 
     Raises:
+      SettingError: alpha is out of its range.
       InferError: every simulation diverged.
     """
+    if not 0 < settings.alpha <= calibration.LARGEST_ALPHA:
+        raise SettingError(describe("alpha", settings.alpha, f"above 0, at most {calibration.LARGEST_ALPHA}"))
     if state.generation == 0:
         drawn_from = prior_proposal(settings.particles, state.z.shape[1])
     else:
@@ -128,6 +133,7 @@ def _weigh(
     energy = calibration.energy(observed, divergence, floors.total)
     energy = np.where(features.valid, energy - energy[features.valid].min(), np.inf)
     supported = calibration.calibrate(rng, observed, features.counts, floors.total, z, log_base, energy)
+    supported = min(supported, settings.alpha)
     alpha = temper(energy, log_base, supported, settings.least_ess * settings.particles)
     log_weights = np.where(features.valid, log_base - alpha * np.where(features.valid, energy, 0.0), -np.inf)
     weights = normalised(log_weights)

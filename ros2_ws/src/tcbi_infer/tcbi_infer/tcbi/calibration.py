@@ -49,18 +49,26 @@ def effective_bins(counts: np.ndarray) -> np.ndarray:
 def residual_noise(observed: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     """Divergence (C,) expected between pooled counts if the residuals of the units had mean zero.
 
+    A unit weighs by its samples, as it does in the pooled counts; one without samples on both sides tells nothing.
+
     Args:
       observed: (U, C, B) counts of the real units.
       simulated: (U, C, B) counts of the same units, simulated.
     """
-    residual = _shares(observed) - _shares(simulated)
-    variance_of_mean = residual.var(axis=0, ddof=1) / len(residual)
-    middle = 0.5 * (_shares(observed).mean(axis=0) + _shares(simulated).mean(axis=0))
-    return np.sum(variance_of_mean / np.where(middle > 0, 8.0 * middle, np.inf), axis=-1)
+    both = (observed.sum(axis=-1) > 0) & (simulated.sum(axis=-1) > 0)
+    units = both.sum(axis=0)[:, None]
+    real, real_moved = _pooled(np.where(both[..., None], observed, 0.0))
+    model, model_moved = _pooled(np.where(both[..., None], simulated, 0.0))
+    variance = np.sum((real_moved - model_moved) ** 2, axis=0) * units / np.maximum(units - 1, 1)
+    middle = 0.5 * (real + model)
+    return np.sum(variance / np.where(middle > 0, 8.0 * middle, np.inf), axis=-1)
 
 
-def _shares(counts: np.ndarray) -> np.ndarray:
-    return counts / np.maximum(counts.sum(axis=-1, keepdims=True), 1)
+def _pooled(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares (C, B) of (U, C, B) counts together, and how far (U, C, B) each unit moves them."""
+    total = np.maximum(counts.sum(axis=(0, 2)), 1)[:, None]
+    shares = counts.sum(axis=0) / total
+    return shares, (counts - counts.sum(axis=-1, keepdims=True) * shares) / total
 
 
 def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usable: np.ndarray) -> Floors:

@@ -277,31 +277,34 @@ class _Loop:
             raise InferError("no particle has any weight: every simulation diverged")
         unit, log_weights = unit[kept], np.log(np.maximum(normalised(log_weights[kept]), 1e-300))
         last = self._last_generation()
-        wrong = misfits(model.parameters, unit, log_weights, self.statistics, last)
+        wrong, fits = misfits(model.parameters, unit, log_weights, self.statistics, last, self._generation_before())
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):
             lines.append(f"the posterior has {several}; a mean and an interval do not show that, the report does")
-        judged = self.method.judges and not wrong
+        judged = self.method.judges and fits is True
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = self.method.simulations(self.state, self.settings) * len(problem.rollout_ids)
         seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
-            estimates(model.parameters, unit, log_weights, self.seed, self.known, judged),
+            estimates(model.parameters, unit, log_weights, self.known, judged),
             float(1 / np.sum(np.exp(2 * log_weights))),
             simulated, seconds, tuple(self.history), bool(self.state.converged), problem.closed_loop,
-            (*problem.warnings, *resumed, *lines), self.known, not wrong,
+            (*problem.warnings, *resumed, *lines), self.known, fits,
         )  # fmt: skip
 
     def _last_generation(self) -> Generation:
-        if self.here or not self.history:
-            return self.last
-        entry = self.history[-1]
-        notes: dict[str, Any] = {
-            k: entry[k] for k in ("alpha_supported", "floor_noise", "floor_misfit", "best") if k in entry
-        }
-        return Generation(entry["ess"], entry["alpha"], np.asarray(entry["divergence"]), notes)
+        return self.last if self.here or not self.history else _generation(self.history[-1])
+
+    def _generation_before(self) -> Generation | None:
+        return _generation(self.history[-2]) if len(self.history) > 1 else None
+
+
+def _generation(entry: Mapping[str, Any]) -> Generation:
+    """As the history tells it."""
+    notes = {k: entry[k] for k in ("alpha_supported", "floor_noise", "floor_misfit", "best") if k in entry}
+    return Generation(entry["ess"], entry["alpha"], np.asarray(entry["divergence"]), notes)
 
 
 def _replace(path: Path, text: str) -> None:

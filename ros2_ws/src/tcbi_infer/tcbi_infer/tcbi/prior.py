@@ -9,11 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.modes import modes, told
 from tcbi_infer.tcbi.proposal import from_probit, to_probit
+from tcbi_infer.tcbi.weights import effective_sample_size
 from tcbi_sim.model import Model
 
 DIAGNOSIS = "diagnosis"  # the kind of evidence that `tcbi_infer.diagnose.adopt` writes
+NO_WIDTH = ("paper", "rejection", "abc_smc", "simopt", "bayesopt")  # methods whose spread is not what data leave open
+FEW = 10  # effective particles, below which a width is a guess
 FLAT, MODEL = "flat", "model"
 DRAWS = 4000  # that stand for the prior
 AFTER_DIAGNOSIS = 2.0  # on the standard deviation; see `Prior.of`
@@ -36,15 +40,25 @@ class Prior:
         normal, its spread was 1.5 times too small, and 2.2 times if the share is at the lower end of what 11 of 15
         allow (one-sided, 90 %). Hence twice, but in no direction wider than the flat prior. Since then it was 18 of 19
         (docs/diagnosis.md), so that twice is cautious.
+
+        Raises:
+          InferError: the particles are one point.
         """
         z = to_probit(model.to_unit(model.particles))
         parts = modes(z, model.weights)
         shares = np.array([model.weights[part].sum() for part in parts])
         means = np.array([model.weights[part] @ z[part] for part in parts]) / shares[:, None]
-        covariance = LEAST_VARIANCE * np.eye(z.shape[1])
+        covariance = np.zeros((z.shape[1], z.shape[1]))
         for part, mean in zip(parts, means, strict=True):
             covariance += ((z[part] - mean) * model.weights[part][:, None]).T @ (z[part] - mean)
-        if model.evidence.get("kind") == DIAGNOSIS:
+        if covariance.diagonal().max() < LEAST_VARIANCE:
+            by = f" ({model.fit.by} made it)" if model.fit.by else ""
+            raise InferError(
+                f"{model.version} is one point and no distribution{by}: as a prior it would leave nothing open; "
+                "take the flat prior"
+            )
+        covariance += LEAST_VARIANCE * np.eye(len(covariance))
+        if model.fit.by == DIAGNOSIS:
             values, vectors = np.linalg.eigh(AFTER_DIAGNOSIS**2 * covariance)
             covariance = (vectors * np.minimum(values, 1.0)) @ vectors.T
         return Prior(shares / shares.sum(), means, np.linalg.cholesky(covariance))
@@ -65,8 +79,19 @@ def about(model: Model, prior: str) -> list[str]:
     """What a user should know of the prior."""
     if prior != MODEL:
         return []
-    lines = []
-    if model.evidence.get("kind") == DIAGNOSIS:
+    lines, fit = [], model.fit
+    if fit.by in NO_WIDTH:
+        lines.append(
+            f"the prior is as wide as the method {fit.by} left {model.version}, whose width is not what its rollouts "
+            "leave open; take the flat prior to be safe (docs/tcbi.md)"
+        )
+    if fit.fits is False:
+        lines.append(f"the prior is doubtful: {model.version} did not fit the rollouts that it comes from")
+    if fit.fits is None:
+        lines.append(f"the prior is doubtful: too few simulations made {model.version} to tell whether it fits")
+    if (ess := effective_sample_size(model.weights)) < FEW:
+        lines.append(f"the prior's width is a guess: {model.version} has {ess:.0f} effective particles")
+    if fit.by == DIAGNOSIS:
         wider = f"{AFTER_DIAGNOSIS:g} times as wide as the diagnosis left it, whose intervals are too narrow"
         lines.append(f"the prior is what {model.version} says, {wider} (docs/tcbi.md)")
     several = told(model.parameters, model.to_unit(model.particles), model.weights)

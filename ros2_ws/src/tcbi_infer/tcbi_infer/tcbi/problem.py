@@ -25,7 +25,7 @@ from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, channels_of, divergences, samples
 from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
-from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noisier, sample_rate, sensor_noise
+from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noise_kept, noisier, sample_rate, sensor_noise
 from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
 from tcbi_sim.measurement import Measurement, progress, quaternion_from_rpy
 from tcbi_sim.model import Model
@@ -155,6 +155,18 @@ class Problem:
         """Whether a policy acts on the simulated robot."""
         return any(c is not None for c in self.controllers)
 
+    @functools.cached_property
+    def readings_noise(self) -> Noise:
+        """The sensors' noise as far as the real readings keep it on their time grids."""
+        kept, n = noise_kept(self.groups), self.noise
+        return dataclasses.replace(
+            n,
+            joint_position=kept * n.joint_position,
+            attitude=kept * n.attitude,
+            angular_velocity=kept * n.angular_velocity,
+            position=kept * n.position,
+        )
+
     def unit(self, cube: np.ndarray) -> np.ndarray:
         """(N, P) where the prior is uniform -> (N, P) in the parameters' unit cube."""
         return cube if self.prior is None else self.prior.unit(cube)
@@ -197,7 +209,7 @@ class Problem:
                 threads=self.threads,
             )
             valid &= ~rollouts.diverged.any(axis=1)
-            groups.append(with_noise(as_arrays(rollouts, group, controller is not None), self.noise, rngs))
+            groups.append(with_noise(as_arrays(rollouts, group, controller is not None), self.readings_noise, rngs))
         return groups, valid
 
 

@@ -1,10 +1,11 @@
 """What an inference found: weighted particles, a table with a verdict per parameter, and what a user must know."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from tcbi_infer.tcbi.method import Generation
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, quantiles, resample
@@ -19,6 +20,11 @@ PILED = 0.5  # share of the posterior at a bound that is worth a line
 MISFIT = 4.0  # remaining divergence over noise that is worth a warning
 NEAR = 0.15  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
 POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
+FALLING = 0.1  # share by which that ratio falls in a generation, from which more of them may still mend it
+UNTOLD = (
+    "too few particles or generations to tell whether the model fits: more of them may still lower what remains of the "
+    "divergence of {}"
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class Result:
     closed_loop: bool
     warnings: tuple[str, ...]
     prior: np.ndarray | None = None  # (N, P) draws in [0, 1] of the prior that was used; None for the flat one
-    fits: bool = True  # no sign that the model is wrong
+    fits: bool | None = True  # no sign that the model is wrong; None: the search was too short to tell
 
     @property
     def particles(self) -> np.ndarray:
@@ -81,6 +87,7 @@ class Result:
 
     def updated_model(self) -> Model:
         """An unsaved child of the model whose particles are the posterior, with the evidence that made it."""
+        seen = [] if self.prior is None else self.model.fit.rollouts
         return self.model.with_particles(
             self.particles,
             self.log_weights,
@@ -99,6 +106,7 @@ class Result:
                 "converged": self.converged,
                 "warnings": list(self.warnings),
             },
+            **({"kept": {"rollouts": seen}} if seen else {}),
         )
 
 
@@ -106,7 +114,6 @@ def estimates(
     parameters: Sequence[Parameter],
     unit: np.ndarray,
     log_weights: np.ndarray,
-    seed: int = 0,
     prior: np.ndarray | None = None,
     judged: bool = True,
 ) -> tuple[Estimate, ...]:
@@ -116,7 +123,6 @@ def estimates(
       parameters: P.
       unit: (M, P) particles in [0, 1].
       log_weights: (M,).
-      seed: of the resampling behind the verdicts.
       prior: (N, P) draws of it, None for flat.
       judged: whether the particles' spread is what the data leave open; if not, no parameter is called identified.
     """
@@ -124,7 +130,7 @@ def estimates(
     enough = judged and effective_sample_size(weights) >= LEAST_ESS
     before = prior_variances(len(parameters), prior)
     _, variance = mean_and_variance(unit, weights)
-    high = _variance_bound(unit, weights, seed)
+    high = _variance_bound(unit, weights)
     sds = prior_sds(parameters, prior)
     rows = []
     for i, p in enumerate(parameters):
@@ -158,12 +164,11 @@ def prior_sds(parameters: Sequence[Parameter], prior: np.ndarray | None = None) 
     return [float(p.from_unit(draws[:, i]).std()) for i, p in enumerate(parameters)]
 
 
-def _variance_bound(unit: np.ndarray, weights: np.ndarray, seed: int, resamples: int = 200) -> np.ndarray:
-    """Upper 95 % bound (P,) of the variance, by resampling as many particles as the effective sample size has."""
-    rng = np.random.default_rng(seed)
-    size = max(2, int(effective_sample_size(weights)))
-    picked = rng.choice(len(weights), size=(resamples, size), p=weights)
-    return np.quantile(unit[picked].var(axis=1, ddof=1), 0.95, axis=0)
+def _variance_bound(unit: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Upper 95 % bound (P,) of the variance, as if the effective sample size were draws of a normal distribution."""
+    size = max(effective_sample_size(weights), 2.0)
+    _, variance = mean_and_variance(unit, weights)
+    return variance * size / chi2.ppf(0.05, size - 1)
 
 
 def misfits(
@@ -172,22 +177,44 @@ def misfits(
     log_weights: np.ndarray,
     statistics: Sequence[str],
     last: Generation,
-) -> list[str]:
-    """Signs that the model is wrong, a line each: bounds that exclude the data, statistics that nothing reproduces."""
-    ratios = _misfit_ratios(last)
-    lines = [
+    before: Generation | None,
+) -> tuple[list[str], bool | None]:
+    """A line for each reason to doubt that the model fits, and whether it does; None: the search was too short to tell.
+
+    Args:
+      parameters: P.
+      unit: (M, P) particles in [0, 1].
+      log_weights: (M,).
+      statistics: names.
+      last: generation.
+      before: the generation before it, None if there was none.
+    """
+    ratios = dict(zip(statistics, _misfit_ratios(last), strict=False))
+    falling = _falling(ratios, statistics, before)
+    bounds = [
         f"the prior of {end.parameter.name} seems to exclude the data: what fits best lies at its {end.at}, "
         "and fits poorly; widen the prior, or an effect is missing"
         for end in _ends(parameters, unit, log_weights, last)
-        if (end.share > PILED or end.best) and _fits_poorly(last)
+        if end.share > PILED or end.best
     ]
+    poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
+    lines = bounds if poor.keys() - falling else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
         "the posterior is widened for it, and an effect may be missing (tcbi diagnose)"
-        for name, ratio in zip(statistics, ratios, strict=False)
-        if ratio > MISFIT
+        for name, ratio in poor.items()
+        if ratio > MISFIT and name not in falling
     ]
-    return lines
+    untold = [name for name, ratio in poor.items() if name in falling and (ratio > MISFIT or bounds)]
+    if lines or not untold:
+        return lines, not lines
+    return [UNTOLD.format(", ".join(untold))], None
+
+
+def _falling(ratios: Mapping[str, float], statistics: Sequence[str], before: Generation | None) -> set[str]:
+    """Statistics of which less remained than a generation ago; all of them where there was none."""
+    earlier = {} if before is None else dict(zip(statistics, _misfit_ratios(before), strict=False))
+    return {name for name, ratio in ratios.items() if ratio < (1 - FALLING) * earlier.get(name, np.inf)}
 
 
 def piled(parameters: Sequence[Parameter], unit: np.ndarray, log_weights: np.ndarray, last: Generation) -> list[str]:

@@ -92,6 +92,9 @@ def _mixture(measurements: Sequence[Measurement]) -> list[str]:
         found.append(
             f"rollouts of several tasks ({', '.join(tasks)}) are taken together: their distributions are pooled"
         )
+    sources = sorted({m.source for m in measurements})
+    if len(sources) > 1:
+        found.append(f"rollouts of several sources ({', '.join(sources)}) are taken together, in one posterior")
     policies = sorted({m.policy_id for m in measurements})
     if len(policies) > 1:
         found.append(f"rollouts of {len(policies)} policies ({_some(policies)}) are taken together")
@@ -171,6 +174,20 @@ def sensor_noise(measurements: Sequence[Measurement], nominal: Noise) -> Noise:
         position=state(_white(places), nominal.position),
         encoder_step=_encoder_step([m.joint_position for m in measurements], nominal.encoder_step),
     )
+
+
+def noise_kept(groups: Sequence[Group]) -> float:
+    """Share of the readings' white noise (standard deviation) that is left on the groups' time grids.
+
+    Between two samples, at a share f of the way, linear interpolation leaves (1 - f)^2 + f^2 of its variance.
+    """
+    left = []
+    for group in groups:
+        for m in group.measurements:
+            at = np.clip(np.interp(group.time, m.time, np.arange(len(m.time))), 0, len(m.time) - 1)
+            share = at - np.floor(at)
+            left.append((1 - share) ** 2 + share**2)
+    return float(np.sqrt(np.mean(np.concatenate(left))))
 
 
 def _white(signals: Sequence[np.ndarray | None], turn: float = np.inf) -> float:
