@@ -22,6 +22,7 @@ from tcbi_policy.environment import TIMESTEP_S, HexapodEnv, HexapodVectorEnv
 from tcbi_policy.gaits import Gait
 from tcbi_sim.model import base_model
 
+SEED = 1  # of the episodes, the same for all
 COUNT = 64  # environments, as many as a training steps
 SINGLES = 8  # of DummyVecEnv, whose cost is proportional to them
 SETTLE_STEPS = round(1.0 / TIMESTEP_S)
@@ -36,8 +37,7 @@ def measure(pairs: int) -> list[dict[str, Any]]:
 
     def episodes() -> None:
         """One set of episodes: drawing, settling, 40 control steps with rewards."""
-        environment.generation = 0
-        environment.reset()
+        environment.reset(seed=SEED)
         for action in actions[:-1]:  # the last one would begin the next set
             environment.step(action)
 
@@ -64,8 +64,7 @@ def measure(pairs: int) -> list[dict[str, Any]]:
 
 def bare_physics(environment: HexapodVectorEnv, actions: list[np.ndarray]) -> Callable[[], None]:
     """MuJoCo alone: the same models on the same ground through the same controls, settling included."""
-    environment.generation = 0
-    environment.reset()
+    environment.reset(seed=SEED)
     own, data = zip(*(environment.simulator.materialise(i) for i in range(COUNT)), strict=True)
     for m in own:
         m.opt.timestep = TIMESTEP_S

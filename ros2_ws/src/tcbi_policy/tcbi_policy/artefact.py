@@ -177,6 +177,8 @@ def load_policy(path: Path, robot: Layout = HEXAPOD) -> Policy:
         _check_shape(policy)
     except (OSError, SafetensorError, UnicodeDecodeError, PolicyDamaged) as e:
         raise PolicyDamaged(f"{path}: {e}") from e
+    except (KeyError, TypeError, ValueError) as e:  # of the safetensors library, for a type that numpy has not
+        raise PolicyDamaged(f"{path}: holds arrays that cannot be read ({e!r}); allowed is float32") from e
     return policy
 
 

@@ -26,13 +26,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_policy.reward import inclination, progress, step_rewards
 from tcbi_sim.engine import Simulator
-from tcbi_sim.measurement import Scenario, observation, roll_pitch_yaw
+from tcbi_sim.measurement import Block, Scenario, observation, roll_pitch_yaw
 from tcbi_sim.model import Model, base_model
 from tcbi_sim.sensing import Samples
 from tcbi_sim.tasks import find_task, tasks
 
 TIMESTEP_S = 0.01  # implicitfast with the elliptic cone follows finer steps within 0.15 degrees
 SQUASH_BOUND = 3.0  # tanh(3) is 0.995
+SPARE = Block((9.0, 9.0, 0.05), (0.1, 0.1, 0.1))  # out of the way
 
 
 class HexapodVectorEnv(VectorEnv):
@@ -77,7 +78,8 @@ class HexapodVectorEnv(VectorEnv):
         self._begun, self._taken = 0, 0  # the generation that runs, and how many steps of it have been taken
         self._noise = np.random.default_rng(0)
         parameters, scenarios = self._draw()
-        room = dataclasses.replace(scenarios[0], blocks=(scenarios[0].blocks * self.task.blocks)[: self.task.blocks])
+        blocks = (scenarios[0].blocks or (SPARE,)) * self.task.blocks  # room for as many as there may ever be
+        room = dataclasses.replace(scenarios[0], blocks=blocks[: self.task.blocks])
         self.simulator = Simulator(model, parameters, [room, *scenarios[1:]], timestep, threads)
         joints = len(self.simulator.rig.joint_names)
         self.limit = self.simulator.rig.joint_range

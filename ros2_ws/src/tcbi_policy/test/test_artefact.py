@@ -1,5 +1,6 @@
 """Policies as files: equal to torch, refused by name of what differs, nothing pickled."""
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import safetensors.numpy
 import torch
 
 from tcbi_policy.artefact import Card, find_policy, load_policy, policy_paths, save_policy
@@ -102,6 +104,26 @@ def test_a_damaged_card_is_named(tmp_path: Path, damage: str) -> None:
     path.with_suffix(".json").write_text(damage)
     with pytest.raises(PolicyDamaged, match=r"level\.safetensors"):
         load_policy(path)
+
+
+def with_weights(folder: Path, data: bytes) -> Path:
+    """A policy with other weights, of which its card knows."""
+    path = saved(folder)
+    path.write_bytes(data)
+    card = json.loads(path.with_suffix(".json").read_text())
+    card["sha256"] = hashlib.sha256(data).hexdigest()
+    path.with_suffix(".json").write_text(json.dumps(card))
+    return path
+
+
+def test_scales_that_are_not_finite_and_arrays_of_a_type_that_numpy_lacks_are_refused(tmp_path: Path) -> None:
+    arrays = network().tensors()
+    arrays["observation_scale"] = np.full_like(arrays["observation_scale"], np.nan)
+    with pytest.raises(PolicyDamaged, match=r"observation_scale .* not finite"):
+        load_policy(with_weights(tmp_path, safetensors.numpy.save(arrays)))
+    header = b'{"layer0.weight":{"dtype":"BF16","shape":[1],"data_offsets":[0,2]}}'
+    with pytest.raises(PolicyDamaged, match="cannot be read"):
+        load_policy(with_weights(tmp_path, len(header).to_bytes(8, "little") + header + b"\0\0"))
 
 
 def rewritten(folder: Path, part: str, **entries: object) -> Path:

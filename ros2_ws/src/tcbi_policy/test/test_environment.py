@@ -11,8 +11,9 @@ from tcbi_policy.environment import HexapodEnv, HexapodVectorEnv, register
 from tcbi_policy.gaits import Gait
 from tcbi_policy.reward import simulated_rewards
 from tcbi_sim.engine import simulate
-from tcbi_sim.measurement import observation
+from tcbi_sim.measurement import Block, Scenario, observation
 from tcbi_sim.model import base_model
+from tcbi_sim.tasks import Task, including
 
 MODEL = base_model("hexapod")
 
@@ -158,6 +159,18 @@ def test_a_simulation_that_diverges_never_earns_more_than_the_worst_of_the_other
         environment.simulator.diverged[:] = [False, True, False]
         given = environment.step(np.zeros((3, 18)))[1]
         np.testing.assert_array_equal(given, [rewards[0], expected, rewards[2]])
+
+
+def test_there_is_room_for_blocks_that_no_first_scenario_has() -> None:
+    def rarely(rng: np.random.Generator, seed: int) -> Scenario:
+        return Scenario("rarely", 0.4, blocks=(Block((1.0, 0.0, 0.03), (0.1, 0.1, 0.06)),) * 2 * (seed % 7 == 0))
+
+    with including(Task("rarely", 0.4, "blocks now and then", 2, rarely)):
+        environment = HexapodEnv(MODEL, "rarely", seed=2)
+        for _ in range(30):
+            environment.reset()
+            environment.step(np.zeros(18))
+            environment.step(np.zeros(18))
 
 
 def test_a_reset_in_mid_episode_begins_the_next_one_and_a_seed_the_first() -> None:
