@@ -93,7 +93,7 @@ def write_run(folder: Path, run: Run) -> Path:
 def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
     """Keep every other process from training in a run's folder.
 
-    One whose parent was killed ends when it next tells of its progress; so long it is waited for.
+    One whose parent was killed ends by itself; so long it is waited for.
 
     Raises:
       TrainingError: another one trains there and goes on.
@@ -139,7 +139,7 @@ class TrainingProcess:
         self._folder = folder
         with contextlib.suppress(BrokenPipeError):  # it has died; `check` tells
             self._process.stdin.write(f"{folder.absolute()}\n")
-            self._process.stdin.close()
+            self._process.stdin.flush()  # and stays open: its end tells the process that this one has ended
 
     def _read(self) -> None:
         assert self._process.stdout is not None

@@ -19,6 +19,7 @@ import importlib.metadata
 import json
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -385,11 +386,12 @@ def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run) -> Co
 
 
 def main() -> int:
-    """The subprocess's entry point: standard input names the folder, or ends if nothing is to be done."""
+    """The subprocess's entry point: standard input names the folder, and ends where nothing more is to be done."""
     _load_libraries()
     name = sys.stdin.readline().strip()
     if not name:
         return 0
+    threading.Thread(target=_end_with_the_parent, name="parent", daemon=True).start()
     folder = Path(name)
     with (folder / ERRORS).open("ab") as errors:
         os.dup2(errors.fileno(), sys.stderr.fileno())
@@ -404,6 +406,13 @@ def main() -> int:
         sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 1
     return 0
+
+
+def _end_with_the_parent() -> None:
+    """End this process when standard input ends, wherever it is; what it has learnt up to its checkpoint stays."""
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    os._exit(1)
 
 
 def _load_libraries() -> None:

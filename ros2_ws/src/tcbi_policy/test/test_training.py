@@ -4,6 +4,8 @@ import dataclasses
 import math
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -262,6 +264,23 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     write_run(tmp_path, Run(TINY, "hexapod-v0"))
     with pytest.raises(TrainingError, match="another training run"):
         write_run(tmp_path, Run(dataclasses.replace(TINY, seed=1), "hexapod-v0"))
+
+
+@SUBPROCESS
+def test_a_training_ends_with_the_process_that_asked_for_it_however_that_ends(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", Run(dataclasses.replace(TINY, steps=4_800_000), "hexapod-v0", str(tmp_path)))
+    code = (
+        "import sys, time; from pathlib import Path; from tcbi_policy.runs import TrainingProcess\n"
+        "process = TrainingProcess(Path(sys.argv[1])); print(process.pid, flush=True)\n"
+        "process.poll(100.0); print('trains', flush=True); time.sleep(600)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid, said = int(parent.stdout.readline()), parent.stdout.readline()
+        assert said == "trains\n"
+        parent.kill()
+    with alone(folder, patience_s=5.0):
+        assert not Path(f"/proc/{pid}").exists() or "Z" in Path(f"/proc/{pid}/stat").read_text().split()[2]
 
 
 @SUBPROCESS
