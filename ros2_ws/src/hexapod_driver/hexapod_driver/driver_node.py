@@ -98,6 +98,11 @@ class DriverNode(Node):
         """Torque off, port closed."""
         self.link.close()
 
+    def destroy_node(self) -> None:
+        """Never without torque off."""
+        self.leave()
+        super().destroy_node()
+
     def _make_publishers(self) -> None:
         qos = messages.STREAM_QOS
         self._joint_states = self.create_publisher(messages.JointState, names.JOINT_STATES, qos)

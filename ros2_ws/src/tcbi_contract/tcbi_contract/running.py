@@ -85,8 +85,7 @@ def run(name: str, make: Callable[[], Node], args: Sequence[str] | None = None, 
         status = guarded(name, spin)
     finally:  # also of SystemExit
         status = guarded(name, leave) or status
-        told.parting = True
-        faulthandler.dump_traceback_later(0.9 * PARTING_S)  # in place of the one that ends the process
+        told.parts()
         with forced_exit(PARTING_S, status):
             parted = guarded(name, part)
         faulthandler.cancel_dump_traceback_later()
@@ -146,11 +145,11 @@ class Told:
 
     Attributes:
       to_end: one has come.
-      parting: all that is the node's own has ended.
     """
 
     def __init__(self) -> None:
-        self.to_end = self.parting = False
+        self.to_end = self._parting = False
+        self._watching = threading.Lock()
         self._guard: GuardCondition | None = None
         heard, self._heard = os.pipe()
         os.set_blocking(self._heard, False)
@@ -163,11 +162,18 @@ class Told:
         """Name the node whose executor waits."""
         self._guard = node.create_guard_condition(lambda: None, callback_group=ReentrantCallbackGroup())
 
+    def parts(self) -> None:
+        """All that is the node's own has ended: what still hangs tells where, in place of ending the process."""
+        with self._watching:
+            self._parting = True
+            faulthandler.dump_traceback_later(0.9 * PARTING_S)
+
     def _listen(self, heard: int) -> None:
         while os.read(heard, 1)[0] not in SIGNALS:
             pass
-        if not self.parting:
-            faulthandler.dump_traceback_later(ENDING_S, exit=True)
+        with self._watching:
+            if not self._parting:
+                faulthandler.dump_traceback_later(ENDING_S, exit=True)
         self.to_end = True
         if self._guard is not None:
             self._guard.trigger()

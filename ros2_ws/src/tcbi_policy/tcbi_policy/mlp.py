@@ -39,8 +39,8 @@ class Mlp:
             width = w.shape[:1]
             if not (np.isfinite(w).all() and np.isfinite(b).all()):
                 faults.append(f"layer {k} holds values that are not finite")
-        if not (np.isfinite(self.observation_scale).all() and np.isfinite(self.limit)):
-            faults.append("observation_scale or the limit holds values that are not finite")
+        if not np.isfinite(self.observation_scale).all():
+            faults.append("observation_scale holds values that are not finite")
         if faults:
             raise PolicyDamaged("; ".join(faults))
 
