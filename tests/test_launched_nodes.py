@@ -144,6 +144,17 @@ def test_the_monitor_counts_rates_and_ages(domain, peer):
     assert rates["silent"].age_s is None and rates["silent"].rate_hz == 0
 
 
+def told_to_end(code: str, says: str) -> tuple[int, str]:
+    """Status and standard error of a node made by `code` that is told to end once it has said something."""
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as node:
+        assert node.stdout is not None and node.stdout.readline() == f"{says}\n"
+        node.send_signal(signal.SIGTERM)
+        _, error = node.communicate(timeout=60)
+    return node.returncode, error
+
+
 def test_a_node_that_hangs_when_it_is_told_to_end_says_where_and_ends(domain):
     code = (
         "import time; from rclpy.node import Node; from tcbi_contract import running\n"
@@ -152,13 +163,8 @@ def test_a_node_that_hangs_when_it_is_told_to_end_says_where_and_ends(domain):
         "def make(): node = Node('hanging'); node.create_timer(0.1, hang); return node\n"
         "raise SystemExit(running.run('hanging', make))\n"
     )
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as node:
-        assert node.stdout is not None and node.stdout.readline() == "hangs\n"
-        node.send_signal(signal.SIGTERM)
-        _, error = node.communicate(timeout=60)
-    assert node.returncode == 1 and "in hang" in error
+    status, error = told_to_end(code, "hangs")
+    assert status == 1 and "in hang" in error
 
 
 @pytest.mark.parametrize(("holds", "status"), [(False, 0), (True, 0), (True, 1)])
@@ -175,13 +181,8 @@ def test_a_middleware_that_does_not_let_go_costs_a_node_neither_its_end_nor_its_
         f"    def destroy_node(self): {'ctypes.PyDLL(None).sleep(600)' if holds else 'time.sleep(600)'}\n"
         "raise SystemExit(running.run('held', Held))\n"
     )
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as node:
-        assert node.stdout is not None and node.stdout.readline() == "works\n"
-        node.send_signal(signal.SIGTERM)
-        _, error = node.communicate(timeout=60)
-    assert node.returncode == status and (tmp_path / "left").exists()
+    ended, error = told_to_end(code, "works")
+    assert ended == status and (tmp_path / "left").exists()
     assert "in destroy_node" in error, "where it hung"
 
 

@@ -12,6 +12,7 @@ from hexapod_driver import calibration
 from tcbi_bringup.emulated_robot.body import BodyState
 from tcbi_bringup.emulated_robot.firmware import Electronics
 from tcbi_bringup.emulated_robot.port import PseudoTerminal, exchange
+from tests.driver.linked_driver import Driver
 
 DEADLINE_S = 20.0
 
@@ -170,3 +171,16 @@ def until() -> Callable[..., None]:
             time.sleep(0.005)
 
     return wait
+
+
+@pytest.fixture
+def make_driver() -> Iterator[Callable[..., Driver]]:
+    drivers: list[Driver] = []
+
+    def make(paths: list[str], **limits: float) -> Driver:
+        drivers.append(Driver(paths, **limits))
+        return drivers[-1]
+
+    yield make
+    for driver in drivers:
+        driver.link.close()

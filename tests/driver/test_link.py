@@ -1,78 +1,18 @@
 """The driver's link against the emulated electronics: what happens when anything between computer and robot fails."""
 
-import os
 import threading
 import time
-from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-import serial
 
-from hexapod_driver import calibration, feetech, sensor_board
-from hexapod_driver.errors import PortError, StartupError
-from hexapod_driver.link import Link, LinkSettings
-from hexapod_driver.readings import BoardReading, JointReading
-from hexapod_driver.sensor_board import Frame, Kind
+from hexapod_driver import feetech
+from hexapod_driver.errors import StartupError
 from tcbi_contract.names import CONTROL_PERIOD_S
-from tcbi_contract.safety import Limits, Mode
+from tcbi_contract.safety import Mode
+from tests.driver.linked_driver import ZERO, Driver
 
 pytestmark = pytest.mark.real_time
-ZERO = (0.0,) * 18
-
-
-class Driver:
-    """A link and all that it said."""
-
-    def __init__(self, paths: list[str], **limits: float) -> None:
-        self.readings: list = []
-        self.reports: list[str] = []
-        self.refusals: list[str] = []
-        self.answers: list[tuple[bool, str]] = []
-        board = paths[1] if len(paths) == 2 else ""
-        settings = LinkSettings(paths[0], 1_000_000, board, 921_600, calibration.load(""), Limits(**limits))
-        self.link = Link(settings, self.readings.append, time.time_ns, self.reports.append)
-
-    def start(self) -> "Driver":
-        self.link.connect()
-        self.link.start()
-        return self
-
-    @property
-    def joints(self) -> list[JointReading]:
-        return [r for r in self.readings if isinstance(r, JointReading)]
-
-    @property
-    def board(self) -> list[BoardReading]:
-        return [r for r in self.readings if isinstance(r, BoardReading)]
-
-    def command(self, target=ZERO, duration: float = 0.2) -> None:
-        self.link.post(lambda robot: robot.command(target, duration), self.refusals.append)
-
-    def reset(self, target=ZERO, tolerance: float = 0.1) -> None:
-        def answer(success: bool, text: str) -> None:
-            self.answers.append((success, text))
-
-        self.link.post(lambda r: r.begin_posture(target, tolerance, answer), lambda text: answer(False, text))
-
-    def stop(self) -> None:
-        self.link.emergency_stop(lambda success, text: self.answers.append((success, text)))
-
-    def release(self) -> None:
-        self.link.release(lambda success, text: self.answers.append((success, text)))
-
-
-@pytest.fixture
-def make_driver() -> Iterator[Callable[..., Driver]]:
-    drivers: list[Driver] = []
-
-    def make(paths: list[str], **limits: float) -> Driver:
-        drivers.append(Driver(paths, **limits))
-        return drivers[-1]
-
-    yield make
-    for driver in drivers:
-        driver.link.close()
 
 
 class Commander:
@@ -460,78 +400,3 @@ def test_closing_takes_the_torque_off(make_bench, make_driver, until, ports: int
     driver.link.close()
     assert not bench.body.torque.any()
     assert not any("did not confirm" in text for text in driver.reports)
-
-
-def test_missing_servos_are_named_at_once(make_bench, make_driver):
-    bench = make_bench()
-    bench.electronics.bus.absent |= {2, 18}
-    with pytest.raises(StartupError, match=r"expected 18, found 16; .*lf_femur \(id 2\), rr_tibia \(id 18\)"):
-        make_driver(bench.paths).link.connect()
-
-
-def test_a_port_that_does_not_exist(make_driver, tmp_path):
-    with pytest.raises(PortError, match="robot does not exist"):
-        make_driver([str(tmp_path / "robot")]).link.connect()
-
-
-def test_a_busy_port(make_bench, make_driver):
-    bench = make_bench()
-    with serial.Serial(bench.paths[0], exclusive=True), pytest.raises(PortError, match="busy"):
-        make_driver(bench.paths).link.connect()
-
-
-def test_a_file_that_is_no_port(make_driver, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(PortError, match="not a serial port"):
-        make_driver([str(tmp_path / "file")]).link.connect()
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may open every port")
-def test_a_forbidden_port(make_driver, tmp_path):
-    (tmp_path / "port").touch(mode=0)
-    with pytest.raises(PortError, match="usermod"):
-        make_driver([str(tmp_path / "port")]).link.connect()
-
-
-def test_a_port_that_sends_nothing_or_rubbish_is_no_robot(make_bench, make_driver):
-    bench = make_bench()
-    bench.mute(True)
-    with pytest.raises(StartupError, match="not one byte"):
-        make_driver(bench.paths).link.connect()
-    talking = threading.Event()
-    chatter = threading.Thread(target=lambda: [bench.send(b"GPS\r\n\0" * 20) for _ in iter(talking.is_set, True)])
-    chatter.start()
-    try:
-        with pytest.raises(StartupError, match="none of them a frame of this robot"):
-            make_driver(bench.paths).link.connect()
-    finally:
-        talking.set()
-        chatter.join()
-
-
-def test_a_board_of_another_version_is_named(make_bench, make_driver, monkeypatch):
-    bench = make_bench()
-    bench.mute(True)
-    encode = sensor_board.encode
-
-    def old(frame: Frame) -> bytes:
-        with monkeypatch.context() as patch:
-            patch.setattr(sensor_board, "VERSION", 9)
-            return encode(frame)
-
-    talking = threading.Event()
-    frame = old(Frame(Kind.SAMPLE, 1))
-    chatter = threading.Thread(target=lambda: [bench.send(frame) for _ in iter(talking.is_set, True)])
-    chatter.start()
-    try:
-        with pytest.raises(StartupError, match="version 9, allowed is 1"):
-            make_driver(bench.paths).link.connect()
-    finally:
-        talking.set()
-        chatter.join()
-
-
-def test_one_port_of_a_robot_with_two_is_explained(make_bench, make_driver):
-    bench = make_bench(ports=2)
-    with pytest.raises(StartupError, match="sensor_port"):
-        make_driver(bench.paths[1:]).link.connect()

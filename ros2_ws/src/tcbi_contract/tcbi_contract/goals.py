@@ -6,8 +6,9 @@
             sent.ask()
         executor.spin_once(0.1)
 
-A server may lose its answer to a client that it has not discovered yet. So the goal bears an id of its own from the
-start, and everything but the goal itself may be asked again. All calls belong into the thread that spins the client.
+A server may lose its answer to a client that it has not discovered yet, and come to know of a goal later than of the
+question for its end. So the goal bears an id of its own from the start, and everything may be asked again: a server
+takes an id once. All calls belong into the thread that spins the client.
 """
 
 import time
@@ -18,6 +19,8 @@ from typing import Any
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
+
+UNKNOWN_TIMES = 3  # so often must a server say that it knows no such goal, before it counts as refused
 
 
 class SentGoal:
@@ -40,39 +43,55 @@ class SentGoal:
     ) -> None:
         self.goal = goal
         self.heard_s = time.monotonic()
-        self._on_feedback, self._told = on_feedback, False
+        self._client, self._on_feedback, self._told = client, on_feedback, False
+        self._answers: list[Any] = []
         self._ends: list[Any] = []
-        goal_id = action.Impl.SendGoalService.Request().goal_id
-        goal_id.uuid = list(uuid.uuid4().bytes)
-        self.handle = ClientGoalHandle(client, goal_id, action.Impl.SendGoalService.Response(accepted=True))
-        self._answer = client.send_goal_async(goal, feedback_callback=self._hear, goal_uuid=goal_id)
+        self._id = action.Impl.SendGoalService.Request().goal_id
+        self._id.uuid = list(uuid.uuid4().bytes)
+        self.handle = ClientGoalHandle(client, self._id, action.Impl.SendGoalService.Response(accepted=True))
+        self._send()
 
     @property
     def end(self) -> Any | None:
         """Status and result; None while it runs. The status is UNKNOWN where the server knows no such goal."""
-        return next((future.result() for future in self._ends if future.done()), None)
+        known = [e for e in self._heard(self._ends) if e.status != GoalStatus.STATUS_UNKNOWN]
+        if known:
+            return known[0]
+        unknown = self._heard(self._ends)
+        return unknown[-1] if len(unknown) >= (1 if self._accepted else UNKNOWN_TIMES) else None
 
     @property
     def taken(self) -> bool:
         """Whether the server has taken it."""
-        known = self.end is not None and self.end.status != GoalStatus.STATUS_UNKNOWN
-        return known or self._told or bool(self._answer.done() and self._answer.result().accepted)
+        return self._accepted or any(e.status != GoalStatus.STATUS_UNKNOWN for e in self._heard(self._ends))
 
     @property
     def refused(self) -> bool:
         """Whether the server has not taken it."""
-        if self._answer.done():
-            return not self._answer.result().accepted
-        return self.end is not None and not self.taken
+        first = self._answers[0]
+        return not self.taken and (first.done() or self.end is not None)
 
     def wants_asking(self, patience_s: float) -> bool:
         """Whether its end should be asked for: not done yet though it was taken, or nothing heard for so long."""
         return (self.taken and not self._ends) or time.monotonic() - self.heard_s > patience_s
 
     def ask(self) -> None:
-        """Ask for its end."""
+        """Ask for its end; a goal that the server said it does not know is sent again."""
+        if self._heard(self._ends) and not self.taken:
+            self._send()
         self._ends.append(self.handle.get_result_async())
         self.heard_s = time.monotonic()
+
+    @property
+    def _accepted(self) -> bool:
+        return self._told or any(answer.accepted for answer in self._heard(self._answers))
+
+    @staticmethod
+    def _heard(futures: list[Any]) -> list[Any]:
+        return [future.result() for future in futures if future.done()]
+
+    def _send(self) -> None:
+        self._answers.append(self._client.send_goal_async(self.goal, feedback_callback=self._hear, goal_uuid=self._id))
 
     def _hear(self, message: Any) -> None:
         self._told, self.heard_s = True, time.monotonic()

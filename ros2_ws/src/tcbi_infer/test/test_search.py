@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tcbi_infer.diagnose import diagnosis, search
+from tcbi_infer.diagnose import base_fit, search
+from tcbi_infer.diagnose.base_fit import better_base
 from tcbi_infer.diagnose.search import Search
 from tcbi_infer.diagnose.settings import Settings
 
@@ -145,15 +146,12 @@ class TwoValleys:
 
 def base_again(monkeypatch: pytest.MonkeyPatch, *starts: float) -> Any:
     """The base model's fit where candidates ended at these base parameters, the present one being at 0.2."""
-    monkeypatch.setattr(diagnosis, "Fitter", TwoValleys)
+    monkeypatch.setattr(base_fit, "Fitter", TwoValleys)
     TwoValleys.used = 0
-    run = SimpleNamespace(problem=None, model=None, sets=None, settings=Settings(), progress=lambda stage, share: None)
-    fits = {u: (SimpleNamespace(unit=np.array([start, 0.5]), total=0.0), None) for u, start in enumerate(starts)}
-    coarse = SimpleNamespace(unit=np.array([0.2]), nuisance=np.zeros(0), total=50.0)
-    found: Any = SimpleNamespace(fits=fits, coarse=coarse, base=coarse)
-    itself: Any = run
-    nuisance: Any = None
-    return diagnosis._Run._better_base(itself, found, nuisance)
+    nothing: Any = None
+    coarse: Any = SimpleNamespace(unit=np.array([0.2]), total=50.0)
+    fits: Any = [SimpleNamespace(unit=np.array([start, 0.5]), total=0.0) for start in starts]
+    return better_base(nothing, nothing, nothing, nothing, Settings(), coarse, fits, lambda stage, share: None)
 
 
 def test_a_valley_far_off_is_shown_to_the_base_model_though_a_nearer_start_loses_less(monkeypatch):

@@ -37,7 +37,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Outcomes of one policy; NaN where a simulation diverged."""
+    """Outcomes of one policy; NaN where a simulation diverged, or a step's reward is not a number."""
 
     returns: np.ndarray  # (n,)
     inclination: np.ndarray  # (n,) rad, at the end
@@ -46,7 +46,7 @@ class Evaluation:
 
     @property
     def mean_return(self) -> float:
-        """Mean over the simulations that did not diverge; NaN if all did."""
+        """Mean over the simulations that have a return; NaN if none has."""
         return _of_finite(np.mean, self.returns)
 
     def summary(self) -> dict[str, float]:
@@ -114,8 +114,8 @@ def evaluate(
     lost = out.diverged[:, 0]
     heading = np.array([s.initial_yaw for s in conditions.scenarios])
     ends = (inclination(out.attitude[:, 0, -1]), progress(out.position[:, 0], heading)[:, -1])
-    returns = np.nansum(simulated_rewards(out)[:, 0], axis=-1)
-    returns, tilt, distance = (np.where(lost, np.nan, values) for values in (returns, *ends))
+    returns = simulated_rewards(out)[:, 0].sum(axis=-1)  # of one task, hence of one duration
+    tilt, distance = (np.where(lost, np.nan, values) for values in ends)
     return Evaluation(returns, tilt, distance, over_blocks(out) if any(s.blocks for s in scenarios) else None)
 
 
@@ -234,13 +234,17 @@ def compare_paired(
     Args:
       before: of the rival.
       after: of the new policy, under the same conditions.
-      vectors: (n,) which parameter vector a rollout has; None if each has its own.
+      vectors: (n,) which parameter vector a rollout has; None if each has its own. Where all have the same one, the
+        model is sure of it: only their scenarios differ then, and each rollout stands for itself.
       confidence: of the lower bound of the gain.
     """
     lost = np.isnan(before.returns), np.isnan(after.returns)
     valid = ~(lost[0] | lost[1])
     old, new = before.returns[valid], after.returns[valid]
     own = np.arange(len(valid)) if vectors is None else vectors
+    distinct = len(np.unique(own[valid]))
+    if len(np.unique(own)) == 1:
+        own = np.arange(len(valid))
     _, member, counts = np.unique(own[valid], return_inverse=True, return_counts=True)
     gain = low = None
     if len(old):
@@ -251,6 +255,6 @@ def compare_paired(
             error = np.sqrt(shares @ np.square(means - gain) * q / (1.0 - q))
             low = float(gain - stdtrit(len(counts) - 1, confidence) * error)
     return Comparison(
-        gain, low, len(old), len(valid), len(counts), int(lost[0].sum()), int(lost[1].sum()), confidence,
+        gain, low, len(old), len(valid), distinct, int(lost[0].sum()), int(lost[1].sum()), confidence,
         float(old.mean()) if len(old) else None, float(new.mean()) if len(old) else None,
     )  # fmt: skip

@@ -17,6 +17,7 @@ from tcbi_policy.stable_baselines import OBSERVATION_SCALE, actor_layers, to_mlp
 
 MINIBATCH = 512
 UPDATES = 1200  # gradient steps a round
+ASK_EVERY = 50  # of them whether time is up
 
 
 def next_posture(cycle: np.ndarray, joint_position: np.ndarray) -> np.ndarray:
@@ -31,6 +32,7 @@ def imitate(
     cycle: np.ndarray,
     rounds: int,
     report: Callable[[int, float], None],
+    ended: Callable[[], bool] = lambda: False,
 ) -> None:
     """Fit the actor to a gait.
 
@@ -40,6 +42,7 @@ def imitate(
       cycle: (n, J) rad.
       rounds: sets of episodes; the teacher walks in the first.
       report: called with the round and the remaining error (rad, root mean square).
+      ended: asked at every step and every `ASK_EVERY` updates; once it is true the actor stays as it is.
     """
     seen, wanted = [], []
     optimizer = torch.optim.Adam([p for layer in actor_layers(algorithm) for p in layer.parameters()], lr=1e-3)
@@ -48,6 +51,8 @@ def imitate(
         student = to_mlp(algorithm, environment.limit)
         observation, _ = environment.reset()
         for step in range(environment.steps):
+            if ended():
+                return
             label = (
                 next_posture(cycle, observation[:, : cycle.shape[1]])
                 if number
@@ -59,7 +64,11 @@ def imitate(
             if step < environment.steps - 1:
                 observation = environment.step(action / environment.limit)[0]
         environment.generation += 1
-        report(number, _fit(algorithm, optimizer, np.concatenate(seen), np.concatenate(wanted), environment.limit, rng))
+        pairs = np.concatenate(seen), np.concatenate(wanted)
+        error = _fit(algorithm, optimizer, *pairs, environment.limit, rng, ended)
+        if ended():
+            return
+        report(number, error)
 
 
 def _fit(
@@ -69,12 +78,15 @@ def _fit(
     wanted: np.ndarray,
     limit: float,
     rng: np.random.Generator,
+    ended: Callable[[], bool],
 ) -> float:
     """Minimise the squared error of the targets; returns the root of its mean over the last tenth, rad."""
     inputs = torch.as_tensor((seen * OBSERVATION_SCALE).astype(np.float32))
     labels = torch.as_tensor(wanted.astype(np.float32))
     layers, errors = actor_layers(algorithm), []
-    for _ in range(UPDATES):
+    for update in range(UPDATES):
+        if update % ASK_EVERY == 0 and ended():
+            break
         rows = torch.as_tensor(rng.integers(len(seen), size=MINIBATCH))
         hidden = inputs[rows]
         for layer in layers:
@@ -84,4 +96,4 @@ def _fit(
         loss.backward()
         optimizer.step()
         errors.append(loss.item())
-    return float(np.sqrt(np.mean(errors[-UPDATES // 10 :])))
+    return float(np.sqrt(np.mean(errors[-UPDATES // 10 :] or [np.nan])))

@@ -77,7 +77,9 @@ def randomised(model: Model, effects: tuple[str, ...], share: float = 0.5, seed:
         known = len(wide.parameters)
         wide = wide.with_effect(effect)
         particles, absent = wide.particles.copy(), rng.random(PARTICLES) >= share
-        own = [p.null for p in wide.parameters[known:]]
+        added = wide.parameters[known:]
+        particles[:, known:] = np.stack([p.sample(rng, PARTICLES) for p in added], axis=-1)  # another seed, other draws
+        own = [p.null for p in added]
         if share < 1.0 and all(null is None for null in own):
             raise TrainingError(
                 f"effect {effect} has no null value, so no episode can be without it; set the share to 1"

@@ -98,7 +98,7 @@ def plan(job: Job) -> Run:
     rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
     config = dataclasses.replace(config, **changes).checked()
     randomised(model, config.effects, config.effect_share)  # refuses what cannot be before a process is started
-    return Run(config, model.version, str(store.root), start, rival)
+    return Run.of(config, model.version, store.root, start, rival)
 
 
 def randomisation_of(policy: Actor, task: str, model: Model) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def retrain(
 
     Args:
       job: what to do.
-      on_event: receives the events of training.py.
+      on_event: receives the events of training_process.py.
       cancelled: asked ten times a second; once it is true the training ends within a second.
       process: gives the process to train in, which may have been standing by.
 

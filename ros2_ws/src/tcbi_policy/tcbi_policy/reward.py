@@ -19,8 +19,10 @@ The weights are Table 2 of the paper; it names the three terms (section 3) witho
   must be for a robot that is asked to stand level there.
 - Balance has no distance term: at 90000 per metre, creeping downhill would pay more than standing level.
 
-A reward is a tuple of terms, each a weight times a quantity of the control step. A user's own task brings its terms in
-its file (docs/policies.md): the ones below, or new ones.
+A reward is a tuple of terms, each a weight times a quantity of the control step, which follows from the attitude and
+the progress at the step's two ends, its action and the one before: training asks for it step by step, rollouts and
+inference for all steps at once. A user's own task brings its terms in its file (docs/policies.md): the ones below, or
+new ones.
 """
 
 from collections.abc import Callable

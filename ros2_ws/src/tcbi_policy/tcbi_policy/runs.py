@@ -1,9 +1,9 @@
 """A training run as a folder and a subprocess: what a node or a command starts, follows, cancels and resumes.
 
-    run = Run(config, model="hexapod-v2", store=root, start="balance", rival="balance")
+    run = Run.of(config, "hexapod-v2", root, start="balance", rival="balance")
     folder = write_run(store.folder("runs") / run.key("train"), run)
     with TrainingProcess(folder) as process:
-        for event in process.events():        # dicts, see training.py
+        for event in process.events():        # dicts, see training_process.py
             ...
 
 This module imports neither torch nor rclpy. A process that died is started again on the same folder and goes on.
@@ -27,9 +27,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from tcbi_policy.artefact import replace_file
+from tcbi_policy.artefact import find_policy, replace_file
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import TrainingError
+from tcbi_sim.ray_workers import own_files
 
 ORPHAN_S = 10.0
 NICENESS = 10  # a robot moves in real time beside it
@@ -48,6 +49,9 @@ class Run:
     start: str = ""  # policy to start from; empty for scratch
     rival: str = ""  # policy that the result is compared with; empty for none
     pairs: int = 64  # held-out rollouts of that comparison
+    contents: str = (
+        ""  # ids of those policies and a digest of the user's own files, since a name may come to mean another
+    )
 
     def key(self, purpose: str) -> str:
         """A folder name that is the same for the same run."""
@@ -57,6 +61,16 @@ class Run:
     def to_json(self) -> str:
         """As it lies in the folder."""
         return json.dumps({**dataclasses.asdict(self), "config": json.loads(self.config.to_json())}, indent=1) + "\n"
+
+    @staticmethod
+    def of(config: TrainingConfig, model: str, root: Path, start: str = "", rival: str = "") -> "Run":
+        """A run with what its names stand for at present.
+
+        Raises:
+          PolicyError: start or rival cannot be loaded.
+        """
+        ids = [find_policy(reference, root).policy_id for reference in (start, rival) if reference]
+        return Run(config, model, str(root), start, rival, contents=", ".join([*ids, f"own files {own_files()}"]))
 
     @staticmethod
     def from_folder(folder: Path) -> "Run":
@@ -114,14 +128,14 @@ def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
 
 
 class TrainingProcess:
-    """`python -m tcbi_policy.training`, in a process group of its own and at low priority.
+    """`python -m tcbi_policy.training_process`, in a process group of its own and at low priority.
 
     Without a folder it loads its libraries, which takes seconds, and stands by until `begin`.
     """
 
     def __init__(self, folder: Path | None = None):
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tcbi_policy.training"],
+            [sys.executable, "-m", "tcbi_policy.training_process"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
             env=dict(os.environ, PYTHONUNBUFFERED="1"), start_new_session=True,
         )  # fmt: skip

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tcbi_contract.names import JOINT_LIMIT, SLOPE_LIMIT
+from tcbi_contract.names import JOINT_LIMIT, JOINTS, SLOPE_LIMIT
 from tcbi_policy.environment import TIMESTEP_S
 from tcbi_policy.gaits import Gait
-from tcbi_policy.reward import Term, simulated_rewards
+from tcbi_policy.reward import TRIAL_STEPS, Steps, Term, simulated_rewards
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import base_model
@@ -32,7 +32,7 @@ def check_file(path: Path) -> tuple[str | None, list[str]]:
     faults = [f"the name {task.name!r} is taken by a built-in task; choose another one"] if task.name in TASKS else []
     faults += _term_faults(task)
     try:
-        faults += _draw_faults(task) or _trial_faults(task)
+        faults += _draw_faults(task) or _memory_faults(task) or _trial_faults(task)
     except Exception as e:  # noqa: BLE001 - it is the user's code, which may raise anything
         faults.append(f"draw() or a term's measure, {told(e, path)}")
     return task.name, faults
@@ -87,6 +87,34 @@ def _scenario_faults(task: Task, scenario: Scenario) -> list[str]:
         faults.append("draw() gives an initial joint position beyond -pi/6 to pi/6 rad")
     if len(scenario.blocks) > task.blocks:
         faults.append(f"draw() places {len(scenario.blocks)} blocks, but the task says {task.blocks} at most")
+    return faults
+
+
+def _memory_faults(task: Task) -> list[str]:
+    """Terms that give a step another value among others than by itself, as training asks for it."""
+    rng = np.random.default_rng(0)
+    action = rng.uniform(-JOINT_LIMIT, JOINT_LIMIT, (TRIAL_STEPS + 1, len(JOINTS)))
+    attitude = np.column_stack([np.ones(TRIAL_STEPS + 1), rng.uniform(-0.1, 0.1, (TRIAL_STEPS + 1, 3))])
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    progress = np.cumsum(rng.uniform(-0.01, 0.05, TRIAL_STEPS + 1))
+
+    def of(begin: int, end: int) -> Steps:
+        return Steps(
+            attitude[begin : end + 1], progress[begin : end + 1], action[begin + 1 : end + 1], action[begin:end]
+        )
+
+    faults = []
+    for term in (t for t in task.reward if isinstance(t, Term)):
+        together = np.asarray(term.measure(of(0, TRIAL_STEPS)))
+        if together.shape != (TRIAL_STEPS,):
+            faults.append(f"term {term.name!r} measures {together.shape} values of {TRIAL_STEPS} steps, not one a step")
+            continue
+        alone = np.concatenate([np.asarray(term.measure(of(k, k + 1))) for k in range(TRIAL_STEPS)])
+        if not np.allclose(together, alone, rtol=1e-9, equal_nan=True):
+            faults.append(
+                f"term {term.name!r} looks at more than one step: a step's value may follow from the attitude and the "
+                "progress at its two ends, its action and the one before alone"
+            )
     return faults
 
 

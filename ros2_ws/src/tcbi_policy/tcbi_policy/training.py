@@ -1,11 +1,10 @@
 """Train a policy on draws of a model, in a folder that a killed run resumes from.
 
-    echo RUN_FOLDER | python -m tcbi_policy.training
+    Training(folder, config, model, start, report).run()
 
-The folder holds `run.json` (see runs.py), and after a while `checkpoint.safetensors` and `policy.safetensors` with its
-card. Standard output carries one JSON object a line, each with an `event`: `resumed`, `imitation`, `progress` (steps,
-total_steps, share, mean_return, elapsed_s, remaining_s, null until known), `evaluation` (on fixed seeds), `done`, and,
-where there is a rival, `comparing` and `comparison`.
+The folder holds after a while `checkpoint.safetensors` and `policy.safetensors` with its card. What is reported are
+events, each a dict with an `event`: `resumed`, `imitation`, `progress` (steps, total_steps, share, mean_return,
+elapsed_s, remaining_s, None until known), `evaluation` (on fixed seeds) and `done`.
 
 Every set of episodes starts from a seed made of the run's seed and its number, and a checkpoint is written between
 sets: so a run gives the same weights whether it was killed or not, on the same machine and library versions. For
@@ -14,12 +13,8 @@ TensorBoard the folder `tensorboard` holds what is logged.
 
 import dataclasses
 import datetime
-import importlib
 import importlib.metadata
 import json
-import os
-import sys
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -33,27 +28,15 @@ from safetensors.torch import save
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from tcbi_contract.errors import TcbiError
-from tcbi_policy.artefact import Actor, Card, Policy, find_policy, replace_file, save_policy, strict_json
+from tcbi_policy.artefact import Card, Policy, replace_file, save_policy
 from tcbi_policy.configuration import TrainingConfig, check_start
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError
-from tcbi_policy.evaluation import (
-    Comparison,
-    Conditions,
-    Evaluation,
-    Network,
-    compare_paired,
-    draw_conditions,
-    evaluate,
-    noisy,
-    step_spread,
-)
+from tcbi_policy.evaluation import Conditions, Network, draw_conditions, evaluate, noisy, step_spread
 from tcbi_policy.gaits import CYCLES, Gait
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
-from tcbi_policy.randomisation import divided, prior_of, randomised
-from tcbi_policy.runs import ERRORS, Run, alone
+from tcbi_policy.randomisation import prior_of, randomised
 from tcbi_policy.stable_baselines import (
     HexapodVecEnv,
     freeze_actor,
@@ -67,10 +50,8 @@ from tcbi_policy.stable_baselines import (
 )
 from tcbi_policy.tensorboard import EventFile
 from tcbi_sim.model import Model
-from tcbi_sim.store import ModelStore
 
 EVALUATION_SEED = 20_000_003  # apart from every training seed
-ACCEPTANCE_SEED = 30_000_001  # held out from training and from the choice of the best policy alike
 Report = Callable[[dict[str, Any]], None]
 
 
@@ -147,7 +128,7 @@ class Training:
     def run(self) -> Policy:
         """Train until the steps or the budget are used up; the best policy on the fixed seeds, as an artefact."""
         resumed = self._resume()
-        if self.config.imitate and not self.state.imitated and self.start is None:
+        if self.copies:
             self._imitate()
         self.state.imitated = True
         if not resumed:
@@ -168,6 +149,11 @@ class Training:
         spent = {"steps": self.state.steps, "elapsed_s": self.state.elapsed, "cpu_s": self.state.cpu}
         self._report({"event": "done", **done, **spent})
         return policy
+
+    @property
+    def copies(self) -> bool:
+        """Whether it has a gait to copy before it learns by reward."""
+        return bool(self.config.imitate) and self.start is None and not self.state.imitated
 
     def exhausted(self) -> bool:
         """Whether the steps or the budget are used up."""
@@ -226,11 +212,12 @@ class Training:
         None before the first set is done: the start-up, the copying of a gait and an earlier life tell no speed.
         """
         elapsed, steps = self.state.elapsed, self.state.steps
-        self._first_set = self._first_set or (elapsed, steps)
-        began, before = self._first_set
         limits = []
-        if steps > before:
-            limits.append((elapsed - began) * (self.config.steps - steps) / (steps - before))
+        if not self.copies:
+            self._first_set = self._first_set or (elapsed, steps)
+            began, before = self._first_set
+            if steps > before:
+                limits.append((elapsed - began) * (self.config.steps - steps) / (steps - before))
         if self.config.budget_s > 0:
             limits.append(self.config.budget_s - elapsed)
         return max(0.0, min(limits)) if limits else None
@@ -242,12 +229,14 @@ class Training:
             self._report(
                 {"event": "imitation", "round": number + 1, "rounds": self.config.imitate_rounds, "error_rad": error}
             )
+            self._clock()
+            self.progress()
 
         teacher = HexapodVectorEnv(
             self.model, self.config.task, self.config.environments, self.config.seed + 1,
             timestep=self.config.timestep, threads=self.config.threads,
         )  # fmt: skip
-        imitate(self.algorithm, teacher, cycle, self.config.imitate_rounds, told)
+        imitate(self.algorithm, teacher, cycle, self.config.imitate_rounds, told, self.out_of_time)
 
     def _evaluate(self) -> None:
         if self.state.curve and self.state.curve[-1]["steps"] == self.state.steps:
@@ -338,88 +327,3 @@ class _Progress(BaseCallback):
 def library_versions() -> dict[str, str]:
     """Versions of what a training depends on."""
     return {name: importlib.metadata.version(name) for name in ("torch", "stable-baselines3", "mujoco", "numpy")}
-
-
-def train_run(folder: Path, report: Report) -> None:
-    """Run, or go on with, the training in a folder, and compare its result with the rival."""
-    run = Run.from_folder(folder)
-    with alone(folder):
-        _train_run(folder, run, report)
-
-
-def _train_run(folder: Path, run: Run, report: Report) -> None:
-    store = ModelStore(run.store or None)
-    model = store.load(run.model)
-    start = find_policy(run.start, store.root) if run.start else None
-    if start is not None and not isinstance(start, Policy):
-        raise TrainingError(f"training cannot start from the scripted gait {run.start}; name a trained policy, or none")
-    rival = find_policy(run.rival, store.root) if run.rival else None
-    if rival is None:
-        Training(folder, run.config, model, start, report).run()
-        return
-    model, unseen = divided(model, run.config.seed)
-    policy = Training(folder, run.config, model, start, report).run()
-    report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
-    comparison = compare_held_out(rival, policy, unseen, run)
-    also = run.config.randomisation()
-    statement = comparison.statement() + (f", both with {also}" if also else "")
-    if unseen is model:
-        statement += ", whose scenarios are new; too few particles bear weight to keep some from the training"
-    facts = {"better": comparison.better, "statement": statement, **dataclasses.asdict(comparison)}
-    report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, **facts})
-
-
-def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run) -> Comparison:
-    """A policy against its rival on held-out draws, both with the noise and the effects of the run's training."""
-    config, seed = run.config, ACCEPTANCE_SEED + run.config.seed
-    drawn = randomised(model, config.effects, config.effect_share, seed)
-    conditions = draw_conditions(drawn, config.task, run.pairs, seed, systematic=True)
-    known = conditions.parameters[:, : len(model.names)]  # those of the effects differ between equal vectors
-    vectors = np.unique(known, axis=0, return_inverse=True)[1].ravel()
-
-    def rolled_out(actor: Actor) -> Evaluation:
-        return evaluate(noisy(actor, config.observation_noise), drawn, conditions, config.timestep, config.threads)
-
-    before = rolled_out(rival)
-    unchanged = isinstance(rival, Policy) and rival.card.sha256 == policy.card.sha256  # the best was the first
-    return compare_paired(before, before if unchanged else rolled_out(policy), vectors)
-
-
-def main() -> int:
-    """The subprocess's entry point: standard input names the folder, and ends where nothing more is to be done."""
-    _load_libraries()
-    name = sys.stdin.readline().strip()
-    if not name:
-        return 0
-    threading.Thread(target=_end_with_the_parent, name="parent", daemon=True).start()
-    folder = Path(name)
-    with (folder / ERRORS).open("ab") as errors:
-        os.dup2(errors.fileno(), sys.stderr.fileno())
-
-    def report(event: dict[str, Any]) -> None:
-        sys.stdout.write(strict_json(event) + "\n")
-        sys.stdout.flush()
-
-    try:
-        train_run(folder, report)
-    except TcbiError as error:
-        sys.stderr.write(f"{' '.join(str(error).split())}\n")
-        return 1
-    return 0
-
-
-def _end_with_the_parent() -> None:
-    """End this process when standard input ends, wherever it is; what it has learnt up to its checkpoint stays."""
-    while os.read(sys.stdin.fileno(), 4096):
-        pass
-    os._exit(1)
-
-
-def _load_libraries() -> None:
-    """Have everything loaded that torch and the model store would load on first use."""
-    torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))])
-    importlib.import_module("xarray")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

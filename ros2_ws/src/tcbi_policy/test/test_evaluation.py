@@ -109,6 +109,14 @@ def test_the_gain_and_its_bound_follow_from_the_means_of_the_vectors() -> None:
     assert "on 6 held-out rollouts of 3 parameter draws" in found.statement()
 
 
+def test_of_a_model_that_is_sure_of_its_parameters_each_rollout_stands_for_itself() -> None:
+    rng = np.random.default_rng(3)
+    none, one = outcomes(np.zeros(64)), np.zeros(64, int)
+    found = compare_paired(none, outcomes(rng.normal(50.0, 10.0, 64)), one)
+    assert found.better and found.vectors == 1 and "of 1 parameter draw," in found.statement()
+    assert sum(compare_paired(none, outcomes(rng.normal(size=64)), one).better for _ in range(2000)) < 145
+
+
 def test_conditions_are_a_function_of_the_seed_and_a_walk_beats_standing() -> None:
     model = base_model("hexapod")
     conditions = draw_conditions(model, "forward", 3, seed=2)

@@ -25,6 +25,12 @@ def test_each_effect_is_there_in_its_share_of_the_particles_and_does_nothing_in_
     assert abs(np.corrcoef(present.T)[0, 1]) < 0.1  # each by itself
 
 
+def test_another_seed_draws_other_values_of_the_effects() -> None:
+    one, two = (randomised(MODEL, ("command_latency",), share=1.0, seed=seed).particles[:, 3] for seed in (1, 2))
+    assert not set(one) & set(two)
+    assert one.mean() == pytest.approx(two.mean(), rel=0.1)
+
+
 def test_the_plain_parameters_keep_their_distribution() -> None:
     known = MODEL.with_particles(MODEL.particles[:20])
     wide = randomised(known, ("command_latency",))

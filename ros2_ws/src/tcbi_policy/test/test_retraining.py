@@ -20,7 +20,8 @@ from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import randomised
 from tcbi_policy.retraining import OUTCOME, Job, better_than_another, next_name, plan, reference_of, retrain
 from tcbi_policy.runs import Run
-from tcbi_policy.training import ACCEPTANCE_SEED, Training, compare_held_out
+from tcbi_policy.training import Training
+from tcbi_policy.training_process import ACCEPTANCE_SEED, compare_held_out
 from tcbi_sim.store import ModelStore
 
 SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
@@ -174,6 +175,23 @@ def test_the_budget_of_the_request_holds(tmp_path: Path) -> None:
 def test_the_same_job_has_the_same_folder_and_another_one_another(tmp_path: Path) -> None:
     keys = [plan(job(tmp_path, seed=seed)).key("retrain") for seed in (0, 0, 1)]
     assert keys[0] == keys[1] != keys[2]
+
+
+def test_a_policy_or_a_file_of_ones_own_that_has_changed_makes_it_another_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TCBI_TASKS", str(tmp_path / "tasks"))
+    (tmp_path / "tasks").mkdir()
+    robust(tmp_path)
+    keys = [plan(job(tmp_path, current="robust")).key("retrain")]
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    other = dataclasses.replace(shipped.mlp, biases=tuple(b + 0.01 for b in shipped.mlp.biases))
+    save_policy(tmp_path / "policies" / "robust", other, dataclasses.replace(shipped.card, name="robust"))
+    keys.append(plan(job(tmp_path, current="robust")).key("retrain"))
+    (tmp_path / "tasks" / "mine.py").write_text("WEIGHT = 1.0")
+    keys.append(plan(job(tmp_path, current="robust")).key("retrain"))
+    assert len(set(keys)) == 3
 
 
 @SUBPROCESS

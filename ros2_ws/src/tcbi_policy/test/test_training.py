@@ -212,6 +212,25 @@ def test_a_policy_that_copied_the_tripod_walks(tmp_path: Path, monkeypatch: pyte
     assert training.state.curve[0]["distance_m"] > 0.05  # standing moves it by less than 0.01
 
 
+def test_a_budget_ends_the_copying_of_a_gait_too_which_says_how_far_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(imitation, "UPDATES", 100)
+    events: list[dict[str, Any]] = []
+
+    def told(event: dict[str, Any]) -> None:
+        events.append(event)
+        if sum(e["event"] == "imitation" for e in events) == 2:
+            training.state.elapsed = 1e6
+
+    config = dataclasses.replace(TINY, imitate="tripod", imitate_rounds=1000, budget_s=5e5)
+    training = Training(tmp_path, config, MODEL, report=told)
+    training.run()
+    assert [e["event"] for e in events] == [*["imitation", "progress"] * 2, "evaluation", "done"]
+    assert 0.0 < events[1]["share"] < 1.0 and 0.0 < events[1]["remaining_s"] < 5e5 and events[3]["remaining_s"] == 0.0
+    assert training.state.steps == 0
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [

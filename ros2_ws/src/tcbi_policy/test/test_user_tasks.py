@@ -70,6 +70,8 @@ def test_the_check_finds_nothing_wrong_with_a_good_one(folder: Path) -> None:
         ('"rad", "yaw', '"", "yaw', "no unit"),
         ("return np.diff", "return 1 / 0 * np.diff", "ZeroDivisionError"),
         ("return np.diff(", "return np.nan * np.diff(", "not finite"),
+        ("return np.diff(", "return np.cumsum(steps.action.mean(axis=-1)) + np.diff(", "more than one step"),
+        ("return np.diff(", "return np.mean(", "one a step"),
     ],
 )
 def test_each_fault_is_named(folder: Path, before: str, after: str, says: str) -> None:

@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, diagnose, remember, report, print; with `--add`, again with what was found."""
-    from tcbi_infer.diagnose.diagnosis import find_candidates
+    from tcbi_infer.diagnose.candidates import find_candidates
     from tcbi_infer.diagnose.rounds import MOST, rounds
     from tcbi_infer.diagnose.settings import QUICK, Settings
     from tcbi_sim.store import ModelStore

@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
 def _plan(args: argparse.Namespace) -> tuple["Bench", list["Robot"]]:
     """What is tried, and on which robots."""
     from tcbi_infer.bags.reader import read_measurements
-    from tcbi_infer.diagnose.diagnosis import find_candidates, tried
+    from tcbi_infer.diagnose.candidates import find_candidates, tried
     from tcbi_infer.diagnose.motions import standard_motions
     from tcbi_infer.diagnose.settings import QUICK, Settings
     from tcbi_infer.selftest import STRENGTHS as SIZES

@@ -109,7 +109,7 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     randomised(model, config.effects, config.effect_share)  # refuses what cannot be before a process is started
     if args.start and (also := config.randomisation()):
         console.note(f"training with {also}")
-    return Run(config, model.version, str(store.root), args.start)
+    return Run.of(config, model.version, store.root, args.start)
 
 
 def _publish(folder: Path, out: str, root: Path) -> Path:

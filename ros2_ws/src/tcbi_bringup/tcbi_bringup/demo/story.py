@@ -176,8 +176,11 @@ class Story:
         saved = posterior.save(store, result)
         self.out.models.append(saved)
         told = [f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in result.estimates if e.identified]
-        enough = result.ess >= LEAST_ESS and result.fits is not None
-        nothing = "the data narrow no parameter" if enough else "too few simulations to tell"
+        nothing = "the data narrow no parameter"
+        if result.ess < LEAST_ESS or result.fits is None:
+            nothing = "too few simulations to tell"
+        elif not result.fits:
+            told, nothing = [], "the model fits the data too poorly to tell its parameters"
         self.say(f"{saved.version}: {'; '.join(told) or nothing}")
         return saved
 

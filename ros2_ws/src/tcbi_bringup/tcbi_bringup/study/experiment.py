@@ -38,6 +38,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.driver import Interrupted, infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.rollouts import sensor_noise
 from tcbi_policy.artefact import Policy, find_policy, replace_file, save_policy
 from tcbi_policy.configuration import preset
 from tcbi_policy.environment import TIMESTEP_S
@@ -47,6 +48,7 @@ from tcbi_policy.training import Training
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Measurement, Scenario
 from tcbi_sim.model import Model, base_model
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import add_noise
 from tcbi_sim.store import ModelStore
 
@@ -302,18 +304,21 @@ def _sizes_with(plan: Plan, folder: Path) -> Result:
 def divergences(rollouts: list[Measurement], policy: Policy, model: Model, seed: int, threads: int = 0) -> list[float]:
     """Jensen-Shannon divergence (nats) of each rollout's rewards from those that the model gives in its scenario.
 
-    By nearest neighbours: bins would follow the rewards of the policy that ran, and each contestant has its own.
+    By nearest neighbours: bins would follow the rewards of the policy that ran, and each contestant has its own. The
+    simulated policy reads what the robot's sensors would tell it, and its rewards are made of such readings.
     """
     rng = np.random.default_rng([seed, 86028121])
+    noise = sensor_noise(rollouts, load_rig(model.rig).noise)
     out = simulate(
         model,
         model.sample(rng, DRAWS),
         [m.scenario for m in rollouts],
         controller=policy,
+        noise=noise,
         timestep=TIMESTEP_S,
         threads=threads,
     )
-    simulated = simulated_rewards(add_noise(out, out.rig.noise, rng))  # (draws, rollouts, steps)
+    simulated = simulated_rewards(add_noise(out, noise, rng))  # (draws, rollouts, steps)
     return [
         float(js_nearest(episode_reward(m).steps, simulated[:, i].reshape(1, -1))[0]) for i, m in enumerate(rollouts)
     ]

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tcbi_contract.wording import counted, with_unit
 from tcbi_infer.compare.common_lag import LATENCIES, common_lag, without_latency
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.guards import guard
@@ -20,6 +19,9 @@ from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
 from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.agreement import agreement, disagreeing
+from tcbi_infer.diagnose.base_fit import base_starts, better_base, fit_base
+from tcbi_infer.diagnose.candidates import tried
+from tcbi_infer.diagnose.claims import bounds, claims, diverging
 from tcbi_infer.diagnose.detectable import Background, detectable_sizes
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
@@ -32,31 +34,21 @@ from tcbi_infer.diagnose.evidence import (
     NextMotion,
 )
 from tcbi_infer.diagnose.false_alarms import false_alarms
-from tcbi_infer.diagnose.fit import CLOSE_STEPS, RACE, Fit, Fitter, Nuisance, to_physical, to_unit
+from tcbi_infer.diagnose.fit import Fit, Nuisance, to_physical
 from tcbi_infer.diagnose.judge import Judge, Judged, screened
 from tcbi_infer.diagnose.leftover import explain
 from tcbi_infer.diagnose.motions import ready_motions
 from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.screen import Directions, Screen, simulate_directions
 from tcbi_infer.diagnose.search import Fits, Progress, Search, refined
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.diagnose.verdict import MOSTLY, Ruling, accept, better_misfit, ranked, rule
-from tcbi_sim.effect import EffectUse
-from tcbi_sim.effects import candidates
-from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
-GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
-KNOWN = 2  # of the starts stand for what is known of the model; the others are that grid
 DIVERGES = "its simulations diverge"
-# by so much must the base model's fit improve from a candidate's parameters, to begin again there: nats, and a share of
-# what the best candidate gains
-BETTER, BETTER_SHARE = 3.0, 0.1
-NEAR = 0.05  # of every range: who starts so near to another start, or to the base model's fit, falls back to it
 
 
 def diagnose(
@@ -83,40 +75,6 @@ def diagnose(
     """
     quiet: Progress = lambda stage, share: None  # noqa: E731
     return _Run(model, measurements, uses, settings or Settings(), progress or quiet, show).go()
-
-
-def library(model: Model) -> list[EffectUse]:
-    """Every use of every effect that the model has not got yet."""
-    return [u for u in candidates(load_rig(model.rig)) if u.key not in model.effects]
-
-
-def tried(model: Model, settings: Settings) -> list[str]:
-    """The uses that a diagnosis tries where none are named."""
-    single = () if settings.per_joint else load_rig(model.rig).joint_names
-    return [u.key for u in library(model) if u.site not in single]
-
-
-def find_candidates(model: Model, wanted: Sequence[str]) -> list[str]:
-    """The uses that effects' names ("weak_leg", at all its sites) or single uses ("weak_leg:lf") stand for.
-
-    Raises:
-      UnknownNameError: one of them is none, or is in the model already.
-    """
-    every = library(model)
-    known = dict.fromkeys([u.effect.name for u in every] + [u.key for u in every])
-    for name in wanted:
-        if name not in known:
-            raise UnknownNameError(f"candidate for {model.version}", name, tuple(known))
-    return [u.key for u in every if u.key in wanted or u.effect.name in wanted]
-
-
-def base_starts(model: Model) -> np.ndarray:
-    """(N, P) unit vectors from which a base model is fitted: its mean, its nominal values, and a grid."""
-    width = len(model.parameters)
-    levels = GRID if width <= 4 else (0.3, 0.7)
-    grid = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
-    nominal = np.array([p.nominal for p in model.parameters])
-    return np.concatenate([[to_unit(model, model.mean()), to_unit(model, nominal)], grid])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,9 +150,10 @@ class _Run:
 
     def go(self) -> Diagnosis:
         """All stages in order."""
-        coarse, nuisance = self.fit_base()
+        self.problem, coarse, nuisance = fit_base(self.problem, self.model, self.sets, self.settings, self.progress)
         found = self._search(coarse, nuisance)
-        better = self._better_base(found, nuisance)
+        rough = [fit for fit, _ in found.fits.values()]
+        better = better_base(self.problem, self.model, nuisance, self.sets, self.settings, coarse, rough, self.progress)
         if better is not None:
             found = self._search(better, nuisance)
         return self._rule(found, nuisance)
@@ -231,29 +190,6 @@ class _Run:
             after |= {u: judge.judge(fine) for u, (_, fine) in further.items()}
         return _Found(coarse, base, judge, before, directions, search, fits, after)
 
-    def _better_base(self, found: "_Found", nuisance: Nuisance) -> Fit | None:
-        """The base model's fit from a candidate's base parameters, where that is better: else the candidate would be
-        credited with a valley that the base model was never shown.
-
-        Of several far starts each is fitted a little first: without the effect all lose, the nearest of them least.
-        """
-        coarse = found.coarse
-        starts: list[np.ndarray] = []
-        for rough, _ in found.fits.values():
-            start = rough.unit[: len(coarse.unit)]
-            if min(np.max(np.abs(start - other)) for other in (coarse.unit, *starts)) > NEAR:
-                starts.append(start)
-        if not starts:
-            return None
-        self.progress("fitting the base model again", 0.85)
-        fitter = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
-        if len(starts) > 1:
-            few = fitter.on_few_sets()
-            starts = [min((few.run(start[None], steps=RACE) for start in starts), key=lambda f: f.total).unit]
-        fit = fitter.run(starts[0][None], steps=CLOSE_STEPS)
-        gained = found.coarse.total - min(rough.total for rough, _ in found.fits.values())
-        return fit if found.coarse.total - fit.total > max(BETTER, BETTER_SHARE * gained) else None
-
     def _rule(self, found: "_Found", nuisance: Nuisance) -> Diagnosis:
         """Hold the candidates' gains against those of a search where nothing is missing, and conclude."""
         judge, before, after, directions = found.judge, found.before, found.after, found.directions
@@ -280,27 +216,6 @@ class _Run:
         detectable = detectable_sizes(self.problem, search.screen, background)
         named = {directions.uses[u]: e for u, e in after.items()}
         return self._conclude(judge, before, drift, ranked(judged), named, null, directions, detectable)
-
-    def fit_base(self) -> tuple[Fit, Nuisance]:
-        """The base model's parameters from a grid of starts, then again with scatter between joints allowed for."""
-        self.progress("fitting the base model", 0.0)
-        none = Nuisance.none(self.problem)
-        width, starts = len(self.model.parameters), base_starts(self.model)
-        known = starts[:KNOWN]
-        everything = Fitter(self.problem, self.model, none, self.sets, self.settings.coarse)
-        near = everything.on_few_sets().run(starts, steps=(0.12, 0.1, 0.08, 0.06))
-        first = everything.run(np.concatenate([near.unit[None], known]), steps=(0.06,))
-        self.problem = self.problem.with_autocorrelation(self._full(first.residual))
-        self.progress("fitting the base model", 0.12)
-        nuisance = joint_scatter(self.problem, first, self.sets, self.settings.coarse)
-        again = Fitter(self.problem, self.model, nuisance, self.sets, self.settings.coarse)
-        fit = again.run(first.unit[None], steps=CLOSE_STEPS)
-        return again.escape(fit, width, CLOSE_STEPS) if self.settings.escape else fit, nuisance
-
-    def _full(self, residual: np.ndarray) -> np.ndarray:
-        full = np.zeros_like(self.problem.observed)
-        full[self.sets] = residual
-        return full
 
     def _screened(self) -> Callable[[str], None]:
         count = itertools.count(1)
@@ -356,9 +271,9 @@ class _Run:
             untestable=directions.untestable,
             guards=(*self.lost, *self._guards(before, after)),
             claims=tuple(
-                self._claims(kinds, sealed, null)
-                + _diverging(directions.diverging)
-                + _bounds(base, [e for e in ranking if e.use in ruling.uses])
+                claims(kinds, len(sealed), null, self.floor, self.settings)
+                + diverging(directions.diverging)
+                + bounds(base, [e for e in ranking if e.use in ruling.uses])
                 + [a.statement for use in ruling.uses or ("",) for a in disagreeing(agreed.get(use, ()))]
             ),
             base=base,
@@ -408,24 +323,6 @@ class _Run:
             found += excitation.motions_that_show(self.problem, use, before.fit, truth, motions, timestep)
         return found
 
-    def _claims(self, kinds: int, sealed: Sequence[Measurement], null: Null) -> list[str]:
-        if kinds < 2:
-            claims = ["Nothing was held out: the errors shown are those on the motion of the fit itself."]
-        else:
-            claims = [f"{kinds} kinds of motion were held out in turn."]
-            if sealed:
-                claims.append(
-                    f"{counted(len(sealed), 'rollout')} stayed sealed: no fit and no search saw them. The errors shown "
-                    "are theirs, and an effect that does not lower them is refused."
-                )
-        if not sealed and kinds >= 2:
-            why = "Too few kinds of motion to seal any" if self.settings.sealed_share else "A quick look seals none"
-            claims.append(f"{why}: the errors shown are cross-validated.")
-        claims.append(false_alarms(null).statement)
-        if not self.floor.from_replicates:
-            claims.append(self.floor.statement)
-        return claims
-
 
 def _only_forward(progress: Progress) -> Progress:
     """The same, but the share never falls: a search that begins again has done what it did."""
@@ -436,20 +333,4 @@ def _only_forward(progress: Progress) -> Progress:
         most = max(most, share)
         progress(stage, most)
 
-    return told
-
-
-def _diverging(uses: Sequence[str]) -> list[str]:
-    """A sentence on the candidates that could not be simulated."""
-    return [f"Not tested, since simulations with it diverge: {', '.join(uses)}."] if uses else []
-
-
-def _bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:
-    """A sentence on each parameter that the fits left at an end of its range."""
-    told = []
-    for e in (base, *named):
-        why = "a wrong range or another missing effect may be behind it" if e is base else "the effect may be larger"
-        for p in (p for p in e.parameters if p.at_bound):
-            end = with_unit(f"{p.value:.3g}", p.unit)
-            told.append(f"{p.name} stopped at an end of its range, {end}: its interval is one-sided, and {why}.")
     return told

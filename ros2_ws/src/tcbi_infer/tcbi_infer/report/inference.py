@@ -86,13 +86,14 @@ def posterior_rows(result: "Result", method: "Method") -> list[list[Any]]:
             e.sd,
             f"{e.low90:.3g} to {e.high90:.3g}",
             f"{1 - e.variance_ratio:.0%}",
-            _told(e, result, method),
+            told_by_data(e, result, method),
         ]
         for e in result.estimates
     ]
 
 
-def _told(estimate: "Estimate", result: "Result", method: "Method") -> str:
+def told_by_data(estimate: "Estimate", result: "Result", method: "Method") -> str:
+    """Whether the data tell a parameter, in a few words."""
     if not method.judges:
         return "not judged by this method"
     if result.fits is None:

@@ -1,0 +1,95 @@
+"""The fit of the base model, which every candidate has to beat: a bad one would make any effect look missing."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from tcbi_infer.diagnose.fit import CLOSE_STEPS, RACE, Fit, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.scatter import joint_scatter
+from tcbi_infer.diagnose.search import Progress
+from tcbi_infer.diagnose.settings import Settings
+from tcbi_sim.model import Model
+
+GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
+KNOWN = 2  # of the starts stand for what is known of the model; the others are that grid
+# by so much must the base model's fit improve from a candidate's parameters, to begin again there: nats, and a share of
+# what the best candidate gains
+BETTER, BETTER_SHARE = 3.0, 0.1
+NEAR = 0.05  # of every range: who starts so near to another start, or to the base model's fit, falls back to it
+
+
+def base_starts(model: Model) -> np.ndarray:
+    """(N, P) unit vectors from which a base model is fitted: its mean, its nominal values, and a grid."""
+    width = len(model.parameters)
+    levels = GRID if width <= 4 else (0.3, 0.7)
+    grid = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
+    nominal = np.array([p.nominal for p in model.parameters])
+    return np.concatenate([[to_unit(model, model.mean()), to_unit(model, nominal)], grid])
+
+
+def fit_base(
+    problem: Problem, model: Model, sets: np.ndarray, settings: Settings, progress: Progress
+) -> tuple[Problem, Fit, Nuisance]:
+    """The base model's parameters from a grid of starts, then again with scatter between joints allowed for.
+
+    Args:
+      problem: whose residuals count as independent.
+      model: to fit.
+      sets: of replicates that the fit may see.
+      settings: how thorough.
+      progress: called with the stage and the share done.
+
+    Returns:
+      the problem with the autocorrelation of what the first fit left, the fit, and the scatter that it allows for.
+    """
+    progress("fitting the base model", 0.0)
+    starts = base_starts(model)
+    everything = Fitter(problem, model, Nuisance.none(problem), sets, settings.coarse)
+    near = everything.on_few_sets().run(starts, steps=(0.12, 0.1, 0.08, 0.06))
+    first = everything.run(np.concatenate([near.unit[None], starts[:KNOWN]]), steps=(0.06,))
+    full = np.zeros_like(problem.observed)
+    full[sets] = first.residual
+    problem = problem.with_autocorrelation(full)
+    progress("fitting the base model", 0.12)
+    nuisance = joint_scatter(problem, first, sets, settings.coarse)
+    again = Fitter(problem, model, nuisance, sets, settings.coarse)
+    fit = again.run(first.unit[None], steps=CLOSE_STEPS)
+    return problem, again.escape(fit, len(model.parameters), CLOSE_STEPS) if settings.escape else fit, nuisance
+
+
+def better_base(
+    problem: Problem,
+    model: Model,
+    nuisance: Nuisance,
+    sets: np.ndarray,
+    settings: Settings,
+    base: Fit,
+    candidates: Sequence[Fit],
+    progress: Progress,
+) -> Fit | None:
+    """The base model's fit from a candidate's base parameters, where that is better: else the candidate would be
+    credited with a valley that the base model was never shown.
+
+    Of several far starts each is fitted a little first: without the effect all lose, the nearest of them least.
+
+    Args:
+      base: the base model's fit with coarse steps.
+      candidates: fits of candidates with coarse steps; the base model's parameters stand before the effect's.
+    """
+    starts: list[np.ndarray] = []
+    for fit in candidates:
+        start = fit.unit[: len(base.unit)]
+        if min(np.max(np.abs(start - other)) for other in (base.unit, *starts)) > NEAR:
+            starts.append(start)
+    if not starts:
+        return None
+    progress("fitting the base model again", 0.85)
+    fitter = Fitter(problem, model, nuisance, sets, settings.coarse)
+    if len(starts) > 1:
+        few = fitter.on_few_sets()
+        starts = [min((few.run(start[None], steps=RACE) for start in starts), key=lambda f: f.total).unit]
+    found = fitter.run(starts[0][None], steps=CLOSE_STEPS)
+    gained = base.total - min(fit.total for fit in candidates)
+    return found if base.total - found.total > max(BETTER, BETTER_SHARE * gained) else None

@@ -1,0 +1,54 @@
+"""What a diagnosis rests on, in sentences."""
+
+from collections.abc import Sequence
+
+from tcbi_contract.wording import counted, with_unit
+from tcbi_infer.compare.noise import NoiseFloor
+from tcbi_infer.diagnose.evidence import Evidence
+from tcbi_infer.diagnose.false_alarms import false_alarms
+from tcbi_infer.diagnose.null import Null
+from tcbi_infer.diagnose.settings import Settings
+
+
+def claims(kinds: int, sealed: int, null: Null, floor: NoiseFloor, settings: Settings) -> list[str]:
+    """What was held out, the rate of false alarms, and where the noise floor comes from.
+
+    Args:
+      kinds: of motion.
+      sealed: rollouts.
+      null: what a search gains where nothing is missing.
+      floor: of the recordings.
+      settings: of the diagnosis.
+    """
+    if kinds < 2:
+        told = ["Nothing was held out: the errors shown are those on the motion of the fit itself."]
+    else:
+        told = [f"{kinds} kinds of motion were held out in turn."]
+        if sealed:
+            told.append(
+                f"{counted(sealed, 'rollout')} stayed sealed: no fit and no search saw them. The errors shown are "
+                "theirs, and an effect that does not lower them is refused."
+            )
+    if not sealed and kinds >= 2:
+        why = "Too few kinds of motion to seal any" if settings.sealed_share else "A quick look seals none"
+        told.append(f"{why}: the errors shown are cross-validated.")
+    told.append(false_alarms(null).statement)
+    if not floor.from_replicates:
+        told.append(floor.statement)
+    return told
+
+
+def diverging(uses: Sequence[str]) -> list[str]:
+    """A sentence on the candidates that could not be simulated."""
+    return [f"Not tested, since simulations with it diverge: {', '.join(uses)}."] if uses else []
+
+
+def bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:
+    """A sentence on each parameter that the fits left at an end of its range."""
+    told = []
+    for e in (base, *named):
+        why = "a wrong range or another missing effect may be behind it" if e is base else "the effect may be larger"
+        for p in (p for p in e.parameters if p.at_bound):
+            end = with_unit(f"{p.value:.3g}", p.unit)
+            told.append(f"{p.name} stopped at an end of its range, {end}: its interval is one-sided, and {why}.")
+    return told

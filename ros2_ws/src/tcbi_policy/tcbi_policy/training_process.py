@@ -1,0 +1,115 @@
+"""A training run as a process of its own: `Training` in a folder, then the comparison with the run's rival.
+
+    echo RUN_FOLDER | python -m tcbi_policy.training_process
+
+The folder holds `run.json` (see runs.py). Standard output carries the events of training.py, one JSON object a line,
+and, where there is a rival, `comparing` and `comparison`.
+"""
+
+import dataclasses
+import importlib
+import os
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from tcbi_contract.errors import TcbiError
+from tcbi_policy.artefact import Actor, Policy, find_policy, strict_json
+from tcbi_policy.errors import TrainingError
+from tcbi_policy.evaluation import Comparison, Evaluation, compare_paired, draw_conditions, evaluate, noisy
+from tcbi_policy.randomisation import divided, randomised
+from tcbi_policy.runs import ERRORS, Run, alone
+from tcbi_policy.training import Report, Training
+from tcbi_sim.model import Model
+from tcbi_sim.store import ModelStore
+
+ACCEPTANCE_SEED = 30_000_001  # held out from training and from the choice of the best policy alike
+
+
+def train_run(folder: Path, report: Report) -> None:
+    """Run, or go on with, the training in a folder, and compare its result with the rival."""
+    run = Run.from_folder(folder)
+    with alone(folder):
+        _train_run(folder, run, report)
+
+
+def _train_run(folder: Path, run: Run, report: Report) -> None:
+    store = ModelStore(run.store or None)
+    model = store.load(run.model)
+    start = find_policy(run.start, store.root) if run.start else None
+    if start is not None and not isinstance(start, Policy):
+        raise TrainingError(f"training cannot start from the scripted gait {run.start}; name a trained policy, or none")
+    rival = find_policy(run.rival, store.root) if run.rival else None
+    if rival is None:
+        Training(folder, run.config, model, start, report).run()
+        return
+    model, unseen = divided(model, run.config.seed)
+    policy = Training(folder, run.config, model, start, report).run()
+    report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
+    comparison = compare_held_out(rival, policy, unseen, run)
+    also = run.config.randomisation()
+    statement = comparison.statement() + (f", both with {also}" if also else "")
+    if unseen is model:
+        statement += ", whose scenarios are new; too few particles bear weight to keep some from the training"
+    facts = {"better": comparison.better, "statement": statement, **dataclasses.asdict(comparison)}
+    report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, **facts})
+
+
+def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run) -> Comparison:
+    """A policy against its rival on held-out draws, both with the noise and the effects of the run's training."""
+    config, seed = run.config, ACCEPTANCE_SEED + run.config.seed
+    drawn = randomised(model, config.effects, config.effect_share, seed)
+    conditions = draw_conditions(drawn, config.task, run.pairs, seed, systematic=True)
+    known = conditions.parameters[:, : len(model.names)]  # those of the effects differ between equal vectors
+    vectors = np.unique(known, axis=0, return_inverse=True)[1].ravel()
+
+    def rolled_out(actor: Actor) -> Evaluation:
+        return evaluate(noisy(actor, config.observation_noise), drawn, conditions, config.timestep, config.threads)
+
+    before = rolled_out(rival)
+    unchanged = isinstance(rival, Policy) and rival.card.sha256 == policy.card.sha256  # the best was the first
+    return compare_paired(before, before if unchanged else rolled_out(policy), vectors)
+
+
+def main() -> int:
+    """The subprocess's entry point: standard input names the folder, and ends where nothing more is to be done."""
+    _load_libraries()
+    name = sys.stdin.readline().strip()
+    if not name:
+        return 0
+    threading.Thread(target=_end_with_the_parent, name="parent", daemon=True).start()
+    folder = Path(name)
+    with (folder / ERRORS).open("ab") as errors:
+        os.dup2(errors.fileno(), sys.stderr.fileno())
+
+    def report(event: dict[str, Any]) -> None:
+        sys.stdout.write(strict_json(event) + "\n")
+        sys.stdout.flush()
+
+    try:
+        train_run(folder, report)
+    except TcbiError as error:
+        sys.stderr.write(f"{' '.join(str(error).split())}\n")
+        return 1
+    return 0
+
+
+def _end_with_the_parent() -> None:
+    """End this process when standard input ends, wherever it is; what it has learnt up to its checkpoint stays."""
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    os._exit(1)
+
+
+def _load_libraries() -> None:
+    """Have everything loaded that torch and the model store would load on first use."""
+    torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))])
+    importlib.import_module("xarray")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""A driver's link to a robot, without its node."""
+
+import time
+
+from hexapod_driver import calibration
+from hexapod_driver.link import Link, LinkSettings
+from hexapod_driver.readings import BoardReading, JointReading
+from tcbi_contract.safety import Limits
+
+ZERO = (0.0,) * 18
+
+
+class Driver:
+    """A link and all that it said."""
+
+    def __init__(self, paths: list[str], **limits: float) -> None:
+        self.readings: list = []
+        self.reports: list[str] = []
+        self.refusals: list[str] = []
+        self.answers: list[tuple[bool, str]] = []
+        board = paths[1] if len(paths) == 2 else ""
+        settings = LinkSettings(paths[0], 1_000_000, board, 921_600, calibration.load(""), Limits(**limits))
+        self.link = Link(settings, self.readings.append, time.time_ns, self.reports.append)
+
+    def start(self) -> "Driver":
+        self.link.connect()
+        self.link.start()
+        return self
+
+    @property
+    def joints(self) -> list[JointReading]:
+        return [r for r in self.readings if isinstance(r, JointReading)]
+
+    @property
+    def board(self) -> list[BoardReading]:
+        return [r for r in self.readings if isinstance(r, BoardReading)]
+
+    def command(self, target=ZERO, duration: float = 0.2) -> None:
+        self.link.post(lambda robot: robot.command(target, duration), self.refusals.append)
+
+    def reset(self, target=ZERO, tolerance: float = 0.1) -> None:
+        def answer(success: bool, text: str) -> None:
+            self.answers.append((success, text))
+
+        self.link.post(lambda r: r.begin_posture(target, tolerance, answer), lambda text: answer(False, text))
+
+    def stop(self) -> None:
+        self.link.emergency_stop(lambda success, text: self.answers.append((success, text)))
+
+    def release(self) -> None:
+        self.link.release(lambda success, text: self.answers.append((success, text)))
