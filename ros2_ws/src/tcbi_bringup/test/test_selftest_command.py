@@ -64,6 +64,13 @@ def test_the_exit_status_is_fit_for_ci(outcomes, capsys, tmp_path, found, option
     assert json.loads(capsys.readouterr().out)["passed"] == (status == 0)
 
 
+def test_an_effect_that_no_diagnosis_would_try_is_refused(outcomes, capsys, tmp_path):
+    words = ["selftest", "--model", "hexapod-v0", "--effects", "joint_offset,backlash", "--store", str(tmp_path)]
+    assert main(words) == 2 and not outcomes[1]
+    told = capsys.readouterr().err
+    assert "effects to plant: got 'joint_offset', allowed is those that a diagnosis tries: " in told and "--full" in told
+
+
 def test_an_interrupt_keeps_what_was_found_and_says_how_to_go_on(outcomes, capsys, tmp_path):
     outcomes[0][:] = ["right", KeyboardInterrupt]
     assert main([*SELFTEST, "--store", str(tmp_path)]) == 130

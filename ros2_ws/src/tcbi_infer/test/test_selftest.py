@@ -146,6 +146,12 @@ def test_a_missed_strong_effect_or_a_false_alarm_does_not_pass_and_a_missed_weak
     assert not summarise([*good, result("", FALSE_ALARM, "none")], Limits()).passed
 
 
+def test_where_only_weak_effects_were_planted_these_count():
+    found = [result("", RIGHT, "none"), result("payload", MISSED, "weak")]
+    assert summarise(found, Limits()).faults == ("1 weak effects were not found, allowed are 0: payload (missed)",)
+    assert summarise(found, Limits(missed=1)).passed
+
+
 def test_limits_are_the_users():
     found = [result("", FALSE_ALARM, "none"), result("backlash", WRONG), result("payload", UNSURE)]
     assert summarise(found, Limits(missed=1, false_alarms=1)).passed

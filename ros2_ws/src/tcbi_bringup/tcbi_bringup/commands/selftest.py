@@ -1,11 +1,14 @@
 """`./tcbi selftest`: plants known effects in the user's own model, and says which of them a diagnosis would find."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
+from tcbi_bringup.errors import WrongCallError
+from tcbi_contract.errors import describe
 
 if TYPE_CHECKING:
     from tcbi_infer.selftest import Bench, Robot, Summary
@@ -47,7 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--full", action="store_true", help="diagnose thoroughly, not as `diagnose --quick`")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="file of results; what is there is not run again")
     parser.add_argument(
-        "--most-missed", type=at_least(0), default=0, metavar="N", help="strong effects that may be missed (default: 0)"
+        "--most-missed",
+        type=at_least(0),
+        default=0,
+        metavar="N",
+        help="strong effects that may be missed, weak ones with --strength weak (default: 0)",
     )
     parser.add_argument(
         "--most-false-alarms", type=at_least(0), default=0, metavar="N", help="that may be raised (default: 0)"
@@ -114,18 +121,26 @@ def _plan(args: argparse.Namespace) -> tuple["Bench", list["Robot"]]:
     keys = find_candidates(model, args.candidates.split(",")) if args.candidates else tried(model, settings)
     candidates = tuple(keys)
     planted = find_candidates(model, args.effects.split(",")) if args.effects else list(candidates)
-    known = [use for use in planted if use in candidates]
-    _note_missing(sorted({use.partition(":")[0] for use in planted} - {use.partition(":")[0] for use in known}))
+    _refuse_untried(planted, candidates)
     strengths = list(SIZES) if args.strength == "both" else [args.strength]
     motions = motions_of(rollouts) if rollouts else tuple(standard_motions(rig, args.duration))
     bench = Bench(model, motions, settings, candidates)
-    return bench, robots(known, strengths, args.seeds)
+    return bench, robots([use for use in planted if use in candidates], strengths, args.seeds)
 
 
-def _note_missing(effects: list[str]) -> None:
-    """Say which effects are not planted, since no diagnosis would try them."""
-    if effects:
-        console.note(f"not planted, since they are no candidates here (--candidates or --full): {', '.join(effects)}")
+def _refuse_untried(planted: Sequence[str], candidates: Sequence[str]) -> None:
+    """Refuse effects of which no diagnosis would try a single use: a robot with one could only be missed.
+
+    Raises:
+      WrongCallError: there are some.
+    """
+    names = [sorted({use.partition(":")[0] for use in uses}) for uses in (planted, candidates)]
+    untried = [name for name in names[0] if name not in names[1]]
+    if untried:
+        raise WrongCallError(
+            describe("effects to plant", ", ".join(untried), "those that a diagnosis tries: " + ", ".join(names[1]))
+            + "; --full tries every joint, --candidates names others"
+        )
 
 
 def _print(model: "Model", results: list[dict[str, Any]], summary: "Summary", stopped: bool) -> None:

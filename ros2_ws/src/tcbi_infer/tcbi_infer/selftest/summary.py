@@ -15,7 +15,7 @@ class Limits:
     """What is still good enough.
 
     Attributes:
-      missed: strong effects that may be missed or taken for another one.
+      missed: strong effects that may be missed or taken for another one; weak ones where only these were planted.
       false_alarms: robots with nothing planted in which something may be found.
       unsure: whether an honest "cannot tell" that names the planted effect among others is good enough.
     """
@@ -57,12 +57,13 @@ def summarise(results: Sequence[Result], limits: Limits) -> Summary:
         counts = {word: sum(r["outcome"] == word for r in mine) for word in (RIGHT, UNSURE, WRONG, MISSED, FALSE_ALARM)}
         rows.append({"effect": key[0] or "nothing", "strength": key[1], "robots": len(mine), **counts})
     bad = (WRONG, MISSED) if limits.unsure else (WRONG, MISSED, UNSURE)
-    missed = [r for r in results if r["strength"] == "strong" and r["outcome"] in bad]
+    judged = "strong" if any(r["strength"] == "strong" for r in results) else "weak"
+    missed = [r for r in results if r["strength"] == judged and r["outcome"] in bad]
     alarms = [r for r in results if r["outcome"] == FALSE_ALARM]
     faults = []
     if len(missed) > limits.missed:
         names = ", ".join(dict.fromkeys(f"{r['use']} ({r['outcome']})" for r in missed))
-        faults.append(f"{len(missed)} strong effects were not found, allowed are {limits.missed}: {names}")
+        faults.append(f"{len(missed)} {judged} effects were not found, allowed are {limits.missed}: {names}")
     if len(alarms) > limits.false_alarms:
         told = "; ".join(dict.fromkeys(", ".join(r["uses"]) or r["verdict"] for r in alarms))
         faults.append(f"{len(alarms)} false alarms, allowed are {limits.false_alarms}: {told}")
