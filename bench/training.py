@@ -49,7 +49,7 @@ def facts(config: TrainingConfig) -> Result:
 
 
 def trained(config: TrainingConfig) -> Result:
-    """One training from scratch, and its evaluations on draws that it does not see."""
+    """One training from scratch, and its evaluations in scenarios that it does not see."""
     with tempfile.TemporaryDirectory() as folder:
         training = Training(Path(folder), config, base_model("hexapod"))
         training.run()

@@ -322,6 +322,17 @@ def test_a_goal_that_its_server_does_not_know_yet_is_sent_again_under_its_id():
     assert sent.taken and not sent.refused and sent.end.status == GoalStatus.STATUS_SUCCEEDED
 
 
+def test_a_goal_that_is_taken_after_its_server_did_not_know_it_is_under_way():
+    client = DeafClient(UNKNOWN)
+    sent = SentGoal(client, CollectRollouts, None)
+    sent.ask()
+    sent.ask()
+    sent._hear(None)  # feedback
+    assert sent.taken and not sent.refused and sent.end is None
+    sent.ask()
+    assert sent.end is UNKNOWN, "it has forgotten it since"
+
+
 def test_a_goal_that_its_server_never_gets_to_know_was_not_taken():
     sent = SentGoal(DeafClient(UNKNOWN), CollectRollouts, None)
     for _ in range(1 + UNKNOWN_TIMES):

@@ -23,7 +23,7 @@ from tcbi_bringup.study import experiment as pieces_of_work
 from tcbi_bringup.study import tables
 from tcbi_bringup.study.experiment import Experiment
 from tcbi_bringup.study.notebook import Notebook, hold
-from tcbi_bringup.study.page import generations, write
+from tcbi_bringup.study.page import _short, generations, write
 from tcbi_bringup.study.plan import CONTESTANTS, EFFECT, FIRST, PRESETS, WINNER, Plan, TaskPlan, chosen
 from tcbi_bringup.study.robots import Laboratory, Order
 from tcbi_contract.errors import UsageError
@@ -187,7 +187,7 @@ def test_a_part_of_a_preset_can_be_chosen_and_what_is_unknown_is_named() -> None
     assert plan.contestants == ("tcbi", "abc")
     assert chosen("hour", contestants="abc,tcbi_effect").contestants == ("abc", WINNER, EFFECT)
     assert chosen("hour", contestants="tcbi_effect,tcbi", robots="7,7").contestants == (EFFECT, WINNER)
-    assert chosen("hour", robots="7,7").robots == ((7, "strong"),)
+    assert chosen("hour", robots="7,07").robots == ((7, "strong"),)
     for wrong in ({"preset": "day"}, {"robots": "a"}, {"tasks": "dance"}, {"contestants": "magic"}):
         with pytest.raises(UsageError, match=next(iter(wrong.values()))):
             chosen(**{"preset": "hour", **wrong})
@@ -232,6 +232,27 @@ def test_a_difference_shows_in_welchs_test_and_in_the_interval(tmp_path: Path) -
 def test_where_there_is_no_difference_none_is_claimed(tmp_path: Path) -> None:
     (row,) = tables.comparisons(invented(tmp_path, 0.0), "balance")
     assert row["p_returns"] > 0.05 and row["gain_returns_low95"] < 0 < row["gain_returns_high95"]
+
+
+def test_pieces_of_several_versions_of_the_code_are_told(tmp_path: Path, monkeypatch) -> None:
+    findings = invented(tmp_path, 0.0)
+    assert findings.mixed() == []
+    monkeypatch.setattr("tcbi_bringup.study.notebook._code", lambda: "another")
+    findings.notebook.once(("deploy", "balance", 0, FIRST), lambda: {"returns": [1.0]})
+    (line,) = findings.mixed()
+    assert "2 versions of the code" in line
+
+
+def test_only_who_stands_on_all_robots_is_ranked_and_the_others_are_told_on_their_own(tmp_path: Path) -> None:
+    findings = invented(tmp_path, 60.0)
+    findings.notebook._found.pop(("deploy", "balance", 3, "fixed_dr"))
+    data = {"tasks": {"balance": {
+        "performance": tables.performance(findings, "balance"), "comparisons": tables.comparisons(findings, "balance"),
+        "effect": None,
+    }}}  # fmt: skip
+    ranked, beside, _ = _short(findings, data)
+    assert "fixed" not in ranked
+    assert "against fixed randomisation (3 of 4 robots) on the same robots: +" in beside
 
 
 def with_the_effect(folder: Path, hidden: dict, named: str = "weak_leg:lf", gain: float = 50.0) -> tables.Findings:

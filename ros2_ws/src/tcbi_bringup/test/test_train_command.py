@@ -57,6 +57,18 @@ def test_a_log_that_cannot_be_copied_is_one_line_after_the_policy_is_kept(
     assert find_policy("mine", tmp_path).policy_id.startswith("mine@") and run.is_dir()
 
 
+def test_a_policy_is_kept_under_the_very_name_that_was_asked_for(tmp_path: Path) -> None:
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    for out, path in (("v1.2", "policies/v1.2"), ("files/v1.2", "files/v1.2"), ("files/v1.safetensors", "files/v1")):
+        run = tmp_path / "run"
+        save_policy(run / "policy", shipped.mlp, shipped.card)
+        (run / "tensorboard").mkdir()
+        given = out if "/" not in out else str(tmp_path / out)
+        assert train._publish(run, given, tmp_path) == tmp_path / f"{path}.safetensors"
+    assert (tmp_path / "files" / "v1.tensorboard").is_dir() and (tmp_path / "tensorboard" / "v1.2").is_dir()
+
+
 def test_an_evaluation_in_which_all_diverged_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     means = dict.fromkeys(("mean_return", "sd_return", "final_inclination_deg", "distance_m"))
     train.follow({"event": "evaluation", "steps": 0, "rollouts": 48, "diverged": 48, **means}, lambda **_: None)

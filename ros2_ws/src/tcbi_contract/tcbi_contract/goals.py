@@ -6,9 +6,9 @@
             sent.ask()
         executor.spin_once(0.1)
 
-A server may lose its answer to a client that it has not discovered yet, and come to know of a goal later than of the
-question for its end. So the goal bears an id of its own from the start, and everything may be asked again: a server
-takes an id once. All calls belong into the thread that spins the client.
+A server may lose its answer to a client that it has not discovered yet, and may hear of a goal later than of the
+question for its end, since each has a service of its own. So the goal bears an id of its own from the start, and
+everything may be asked again: a server takes an id once. All calls belong into the thread that spins the client.
 """
 
 import time
@@ -46,6 +46,7 @@ class SentGoal:
         self._client, self._on_feedback, self._told = client, on_feedback, False
         self._answers: list[Any] = []
         self._ends: list[Any] = []
+        self._before = 0  # so many of these were asked for before the goal was known to be taken
         self._id = action.Impl.SendGoalService.Request().goal_id
         self._id.uuid = list(uuid.uuid4().bytes)
         self.handle = ClientGoalHandle(client, self._id, action.Impl.SendGoalService.Response(accepted=True))
@@ -54,11 +55,12 @@ class SentGoal:
     @property
     def end(self) -> Any | None:
         """Status and result; None while it runs. The status is UNKNOWN where the server knows no such goal."""
-        known = [e for e in self._heard(self._ends) if e.status != GoalStatus.STATUS_UNKNOWN]
+        heard = self._heard(self._ends)
+        known = [e for e in heard if e.status != GoalStatus.STATUS_UNKNOWN]
         if known:
             return known[0]
-        unknown = self._heard(self._ends)
-        return unknown[-1] if len(unknown) >= (1 if self._accepted else UNKNOWN_TIMES) else None
+        unknown = self._heard(self._ends[self._before :]) if self._accepted else heard[UNKNOWN_TIMES - 1 :]
+        return unknown[0] if unknown else None
 
     @property
     def taken(self) -> bool:
@@ -73,12 +75,14 @@ class SentGoal:
 
     def wants_asking(self, patience_s: float) -> bool:
         """Whether its end should be asked for: not done yet though it was taken, or nothing heard for so long."""
-        return (self.taken and not self._ends) or time.monotonic() - self.heard_s > patience_s
+        return (self.taken and len(self._ends) == self._before) or time.monotonic() - self.heard_s > patience_s
 
     def ask(self) -> None:
         """Ask for its end; a goal that the server said it does not know is sent again."""
-        if self._heard(self._ends) and not self.taken:
-            self._send()
+        if not self.taken:
+            if self._heard(self._ends):
+                self._send()
+            self._before = len(self._ends) + 1
         self._ends.append(self.handle.get_result_async())
         self.heard_s = time.monotonic()
 

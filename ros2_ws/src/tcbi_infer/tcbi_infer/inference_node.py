@@ -40,7 +40,7 @@ DIAGNOSIS_POLL_S = 0.1
 ENDING_S = 6.0  # for a diagnosis to end with the node
 BUSY_S = 10.0  # before a busy retrain server is asked again
 FOLLOW_S = 0.5  # between two looks at a training
-ASK_AGAIN_S = 4.0  # without feedback, for a training's end; its server keeps that for 10 s
+ASK_AGAIN_S = 4.0  # without feedback, for a training's end
 GONE_S = 5.0  # without the retrain server, until its training is given up
 
 

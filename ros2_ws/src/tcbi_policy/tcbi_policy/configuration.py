@@ -2,9 +2,11 @@
 
 import dataclasses
 import json
+import math
 from dataclasses import dataclass
 
 from tcbi_contract.errors import describe
+from tcbi_contract.names import JOINT_LIMIT
 from tcbi_policy.artefact import Policy
 from tcbi_policy.errors import TrainingError
 from tcbi_sim.errors import UnknownNameError
@@ -100,8 +102,13 @@ def check_start(config: TrainingConfig, start: Policy) -> None:
     """Refuse a policy to start from whose network is not the training's.
 
     Raises:
-      TrainingError: its hidden layers have other widths.
+      TrainingError: its hidden layers have other widths, or its targets another limit.
     """
+    if not math.isclose(start.mlp.limit, JOINT_LIMIT, rel_tol=1e-6):
+        raise TrainingError(
+            describe(f"limit of policy {start.policy_id}", f"{start.mlp.limit:g} rad", f"{JOINT_LIMIT:g} rad")
+            + "; train from scratch, or start from another policy"
+        )
     if start.mlp.layers != config.layers:
         raise TrainingError(
             describe(f"hidden layers of policy {start.policy_id}", start.mlp.layers, str(config.layers))

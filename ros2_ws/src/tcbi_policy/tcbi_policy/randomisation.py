@@ -7,6 +7,7 @@ The result is a model like any other, so that training, evaluation and the card 
 """
 
 import dataclasses
+import zlib
 
 import numpy as np
 
@@ -27,20 +28,21 @@ def prior_of(model: Model, seed: int = 0) -> Model:
     return model.with_particles(model.from_unit(units), prior_of=model.version)
 
 
-def divided(model: Model, seed: int) -> tuple[Model, Model]:
+def divided(model: Model) -> tuple[Model, Model]:
     """The model with the particles to train on, and with those that only a comparison of policies may see.
 
     No parameter vector is in both, and at least `LEAST_HELD_OUT` bear the weight of the second. Where so few particles
     bear weight that neither part would stand for the posterior, both are the whole model.
 
     Args:
-      model: with its particles, of which some may be equal.
-      seed: of the division.
+      model: with its particles, of which some may be equal. They alone decide the division, so that no training that
+        is judged on this model has seen what another one is judged on.
     """
     vectors, member = np.unique(model.particles, axis=0, return_inverse=True)
     weight = np.bincount(member.ravel(), model.weights, len(vectors))
     if 1.0 / np.sum(weight**2) < LEAST_PARTICLES - ROUNDING:
         return model, model
+    seed = zlib.crc32(vectors.tobytes())
     order = np.random.default_rng([seed, 67867967]).permutation(len(vectors))
     total = np.cumsum(weight[order])
     bearing = total**2 / np.cumsum(weight[order] ** 2)  # effective number of vectors

@@ -162,17 +162,17 @@ class RetrainNode(Node):
             return
         result.success = True
         if outcome.accepted:
-            why_not = better_than_another(self._in_use, outcome.rival, job.task, self._store)
-            result.message += (
-                f"; kept as {outcome.reference}: {why_not}" if why_not else f"; {self._swap(outcome.reference)}"
-            )
+            result.message += f"; {self._swap(outcome, job.task)}"
         self.get_logger().info(result.message)
         handle.succeed()
 
-    def _swap(self, reference: str) -> str:
-        """Ask the policy node to take the policy; what came of it, in words."""
+    def _swap(self, outcome: Outcome, task: str) -> str:
+        """Ask the policy node to take the policy, unless another is in use by now; what came of it, in words."""
+        reference = outcome.reference
         if not self._load.wait_for_service(SWAP_TIMEOUT_S):
             return f"kept as {reference}: no policy node runs that could take it"
+        if why_not := better_than_another(self._in_use, outcome.rival, task, self._store):
+            return f"kept as {reference}: {why_not}"
         response = self._load.call(LoadPolicy.Request(policy=reference), timeout_sec=SWAP_TIMEOUT_S)
         if response is None:
             return f"kept as {reference}: the policy node did not answer"

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tcbi_contract.errors import describe
+from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_policy.artefact import (
     GAIT_PREFIX,
     Actor,
@@ -38,10 +39,12 @@ from tcbi_policy.randomisation import randomised
 from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_sim.model import Model
 from tcbi_sim.store import LATEST, ModelStore
+from tcbi_sim.tasks import find_task
 
 SCRATCH = "none"
 RESTARTS = 3  # of a subprocess that dies
 FINE_TUNING_STEPS = 57_600  # two minutes on one core
+FINE_TUNING_SETS = 12  # of episodes: so many at least, which are more steps where episodes are long
 POLL_S = 0.1
 OUTCOME = "outcome.json"  # in the folder of a run whose policy was not kept: the comparison with its rival
 Event = dict[str, Any]
@@ -90,7 +93,10 @@ def plan(job: Job) -> Run:
     begun = find_policy(start, store.root) if start else None
     if isinstance(begun, Policy):
         check_start(config, begun)
-        config = dataclasses.replace(fine_tuning(config), steps=min(config.steps, FINE_TUNING_STEPS))
+        config = fine_tuning(config)
+        ticks = round(find_task(job.task).duration / CONTROL_PERIOD_S)
+        few = max(FINE_TUNING_STEPS, FINE_TUNING_SETS * config.environments * ticks)
+        config = dataclasses.replace(config, steps=min(config.steps, few))
     changes: dict[str, Any] = {"seed": job.seed, "budget_s": job.budget_s, "threads": job.threads}
     changes |= randomisation_of(begun or current, job.task, model)
     if job.budget_steps:
@@ -98,7 +104,7 @@ def plan(job: Job) -> Run:
     rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
     config = dataclasses.replace(config, **changes).checked()
     randomised(model, config.effects, config.effect_share)  # refuses what cannot be before a process is started
-    return Run.of(config, model.version, store.root, start, rival)
+    return Run.of(config, model, store.root, start, rival)
 
 
 def randomisation_of(policy: Actor, task: str, model: Model) -> dict[str, Any]:

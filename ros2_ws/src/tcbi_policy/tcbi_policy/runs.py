@@ -1,6 +1,6 @@
 """A training run as a folder and a subprocess: what a node or a command starts, follows, cancels and resumes.
 
-    run = Run.of(config, "hexapod-v2", root, start="balance", rival="balance")
+    run = Run.of(config, model, root, start="balance", rival="balance")
     folder = write_run(store.folder("runs") / run.key("train"), run)
     with TrainingProcess(folder) as process:
         for event in process.events():        # dicts, see training_process.py
@@ -30,12 +30,14 @@ from typing import Any, Self
 from tcbi_policy.artefact import find_policy, replace_file
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import TrainingError
+from tcbi_sim.model import Model
 from tcbi_sim.ray_workers import own_files
 
 ORPHAN_S = 10.0
 NICENESS = 10  # a robot moves in real time beside it
 GRACE_S = 0.5  # between asking a process to end and ending it
 SPEC = "run.json"
+OWN_KINDS = ("effects", "rigs", "tasks")  # of the user's files, that a training may depend on
 ERRORS = "errors.log"
 
 
@@ -49,9 +51,7 @@ class Run:
     start: str = ""  # policy to start from; empty for scratch
     rival: str = ""  # policy that the result is compared with; empty for none
     pairs: int = 64  # held-out rollouts of that comparison
-    contents: str = (
-        ""  # ids of those policies and a digest of the user's own files, since a name may come to mean another
-    )
+    contents: str = ""  # ids of those policies, digests of particles and own files: names may come to mean others
 
     def key(self, purpose: str) -> str:
         """A folder name that is the same for the same run."""
@@ -63,14 +63,15 @@ class Run:
         return json.dumps({**dataclasses.asdict(self), "config": json.loads(self.config.to_json())}, indent=1) + "\n"
 
     @staticmethod
-    def of(config: TrainingConfig, model: str, root: Path, start: str = "", rival: str = "") -> "Run":
+    def of(config: TrainingConfig, model: Model, root: Path, start: str = "", rival: str = "") -> "Run":
         """A run with what its names stand for at present.
 
         Raises:
           PolicyError: start or rival cannot be loaded.
         """
         ids = [find_policy(reference, root).policy_id for reference in (start, rival) if reference]
-        return Run(config, model, str(root), start, rival, contents=", ".join([*ids, f"own files {own_files()}"]))
+        ids += [f"particles {_digest(model)}", f"own files {own_files(OWN_KINDS)}"]
+        return Run(config, model.version, str(root), start, rival, contents=", ".join(ids))
 
     @staticmethod
     def from_folder(folder: Path) -> "Run":
@@ -85,6 +86,10 @@ class Run:
             return Run(config.checked(), **data)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as e:
             raise TrainingError(f"{folder} is not the folder of a training run: {e}") from e
+
+
+def _digest(model: Model) -> str:
+    return hashlib.sha256(model.particles.tobytes() + model.log_weights.tobytes()).hexdigest()[:12]
 
 
 def write_run(folder: Path, run: Run) -> Path:
@@ -140,7 +145,7 @@ class TrainingProcess:
             env=dict(os.environ, PYTHONUNBUFFERED="1"), start_new_session=True,
         )  # fmt: skip
         os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
-        self._folder = Path()
+        self._folder, self._said_before = Path(), 0  # bytes of its log from earlier lives
         self._events: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -151,6 +156,8 @@ class TrainingProcess:
         """Train in a run's folder, once."""
         assert self._process.stdin is not None
         self._folder = folder
+        log = folder / ERRORS
+        self._said_before = log.stat().st_size if log.exists() else 0
         with contextlib.suppress(BrokenPipeError):  # it has died; `check` tells
             self._process.stdin.write(f"{folder.absolute()}\n")
             self._process.stdin.flush()  # and stays open: its end tells the process that this one has ended
@@ -205,7 +212,8 @@ class TrainingProcess:
         status = self._process.wait()
         if status != 0:
             log = self._folder / ERRORS
-            lines = log.read_text(errors="replace").strip().splitlines() if log.exists() else []
+            said = log.read_bytes()[self._said_before :] if log.exists() else b""
+            lines = said.decode(errors="replace").strip().splitlines()
             how = f"signal {-status}" if status < 0 else f"status {status}"
             raise TrainingError(f"training ended with {how}: {lines[-1] if lines else 'no message'} (see {log})")
 

@@ -15,6 +15,7 @@ import dataclasses
 import datetime
 import importlib.metadata
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -151,6 +152,12 @@ class Training:
         return policy
 
     @property
+    def warm_up(self) -> int:
+        """Sets of episodes that only fit the value: the configuration's, and at most a quarter of all."""
+        sets = math.ceil(self.config.steps / (self.environment.steps * self.config.environments))
+        return min(self.config.warm_up, sets // 4)
+
+    @property
     def copies(self) -> bool:
         """Whether it has a gait to copy before it learns by reward."""
         return bool(self.config.imitate) and self.start is None and not self.state.imitated
@@ -190,7 +197,7 @@ class Training:
         np.random.seed(number)
         torch.manual_seed(number)
         self.algorithm.action_space.seed(number)
-        freeze_actor(self.algorithm, self.state.sets < self.config.warm_up)
+        freeze_actor(self.algorithm, self.state.sets < self.warm_up)
 
     def progress(self) -> None:
         """Say how far the run is."""

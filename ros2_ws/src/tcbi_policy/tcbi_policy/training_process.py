@@ -47,7 +47,7 @@ def _train_run(folder: Path, run: Run, report: Report) -> None:
     if rival is None:
         Training(folder, run.config, model, start, report).run()
         return
-    model, unseen = divided(model, run.config.seed)
+    model, unseen = divided(model)
     policy = Training(folder, run.config, model, start, report).run()
     report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
     comparison = compare_held_out(rival, policy, unseen, run)

@@ -1,6 +1,7 @@
 """Training: the deployed network is the trained one, a killed run goes on to the same result, gaits can be copied."""
 
 import dataclasses
+import itertools
 import math
 import os
 import signal
@@ -175,12 +176,21 @@ def test_a_start_policy_is_where_training_starts(tmp_path: Path) -> None:
     np.testing.assert_allclose(second.present()(observation), first.mlp(observation), atol=1e-6)
 
 
-def test_a_warm_up_leaves_the_policy_as_it_is(tmp_path: Path) -> None:
-    training = Training(tmp_path, dataclasses.replace(TINY, warm_up=3), MODEL)
-    before = training.present().tensors()
+@pytest.mark.parametrize(("sets", "frozen"), [(12, 2), (4, 1), (3, 0)])
+def test_a_warm_up_leaves_the_policy_as_it_is_for_a_quarter_of_the_sets_at_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sets: int, frozen: int
+) -> None:
+    training = Training(tmp_path, dataclasses.replace(TINY, steps=160 * sets, warm_up=2), MODEL)
+    seen, between = [training.present().weights[0]], training.next_set
+
+    def next_set() -> None:
+        seen.append(training.present().weights[0])
+        between()
+
+    monkeypatch.setattr(training, "next_set", next_set)
     training.run()
-    for name, array in training.present().tensors().items():
-        np.testing.assert_array_equal(array, before[name])
+    changes = [not np.array_equal(a, b) for a, b in itertools.pairwise(seen)]
+    assert changes.index(True) == frozen + 1
 
 
 def test_a_budget_in_seconds_ends_the_run(tmp_path: Path) -> None:

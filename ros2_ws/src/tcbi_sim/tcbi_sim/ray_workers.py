@@ -145,19 +145,24 @@ def _settings() -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """What must be the same on all machines for the bits to be the same, by what it is called."""
-    found = [Path(spec.origin).parent for name in PACKAGES if (spec := importlib.util.find_spec(name)) and spec.origin]
     return {
         "Python": platform.python_version(),
         "MuJoCo": mujoco.__version__,
         "numpy": np.__version__,
-        "tcbi": _digest(found, "*.py"),
+        "tcbi": code(PACKAGES),
         OWN_FILES: own_files(),
     }
 
 
-def own_files() -> str:
-    """A digest of the user's own files, all of them: one may read another."""
-    return _digest([_own_folder(kind) for kind in OWN_KINDS], "*")
+def code(packages: Sequence[str]) -> str:
+    """A digest of the Python files of some packages."""
+    specs = [importlib.util.find_spec(name) for name in packages]
+    return _digest([Path(spec.origin).parent for spec in specs if spec and spec.origin], "*.py")
+
+
+def own_files(kinds: Sequence[str] = OWN_KINDS) -> str:
+    """A digest of the user's own files of some kinds, all of them: one may read another."""
+    return _digest([_own_folder(kind) for kind in kinds], "*")
 
 
 def _own_folder(kind: str) -> Path:
@@ -169,8 +174,11 @@ def _digest(folders: Sequence[Path], pattern: str) -> str:
     """Of names and contents of the files below some folders."""
     digest = hashlib.sha256()
     for folder in folders:
-        for path in sorted(p for p in folder.rglob(pattern) if p.is_file() and "__pycache__" not in p.parts):
-            digest.update(f"{path.relative_to(folder)}".encode())
+        for path in sorted(p for p in folder.rglob(pattern) if p.is_file()):
+            name = path.relative_to(folder)
+            if any(part.startswith(".") or part == "__pycache__" for part in name.parts):
+                continue
+            digest.update(f"{name}".encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 

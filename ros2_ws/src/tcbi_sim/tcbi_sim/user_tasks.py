@@ -4,7 +4,9 @@ task = load_file(path)       # raises UserTaskError, whose `faults` are lines
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_sim.tasks import Task
@@ -12,6 +14,13 @@ from tcbi_sim.user_file import NAME, UserFileError, read_one
 
 LONGEST_S = 3600.0
 MOST_BLOCKS = 64
+WORDS = {
+    "name": "a text",
+    "weight": "a number",
+    "unit": "a text",
+    "formula": "a text",
+    "measure": "a function of Steps",
+}
 
 
 class UserTaskError(UserFileError):
@@ -52,4 +61,19 @@ def unusable(task: Task) -> list[str]:
         faults.append(
             "reward must be a tuple of Term of tcbi_policy.reward; write (Term(…),) with the comma even for one"
         )
+    else:
+        faults += [fault for i, term in enumerate(task.reward) for fault in _term_faults(i, term)]
     return faults
+
+
+def _term_faults(number: int, term: Any) -> list[str]:
+    """What is not as a Term of tcbi_policy.reward, which this package cannot name."""
+    kinds = {"name": str, "weight": (int, float), "unit": str, "formula": str, "measure": Callable}
+    lacks = [name for name in kinds if not hasattr(term, name)]
+    if lacks:
+        return [f"reward[{number}] is a {type(term).__name__}, allowed is a Term of tcbi_policy.reward"]
+    return [
+        f"reward[{number}].{name} is {getattr(term, name)!r}, allowed is {WORDS.get(name, 'a text')}"
+        for name, kind in kinds.items()
+        if not isinstance(getattr(term, name), kind)
+    ]

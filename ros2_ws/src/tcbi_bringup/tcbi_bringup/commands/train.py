@@ -109,13 +109,13 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     randomised(model, config.effects, config.effect_share)  # refuses what cannot be before a process is started
     if args.start and (also := config.randomisation()):
         console.note(f"training with {also}")
-    return Run.of(config, model.version, store.root, args.start)
+    return Run.of(config, model, store.root, args.start)
 
 
 def _publish(folder: Path, out: str, root: Path) -> Path:
     """Keep the policy under a name in the store or as a file, and what was logged; the run's folder is then done with.
 
-    What was logged moves to `tensorboard/NAME` of the store.
+    What was logged moves to `tensorboard/NAME` of the store, or beside the file as `NAME.tensorboard`.
 
     Raises:
       BringupError: what was logged cannot be copied there; the policy is kept.
@@ -125,11 +125,11 @@ def _publish(folder: Path, out: str, root: Path) -> Path:
     from tcbi_policy.artefact import load_policy, save_policy
 
     to_file = out.endswith(".safetensors") or os.sep in out
-    stem = Path(out).expanduser().with_suffix("") if to_file else root / "policies" / out
+    stem = Path(out.removesuffix(".safetensors")).expanduser() if to_file else root / "policies" / out
     trained = load_policy(folder / "policy.safetensors")
     path = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name)).path
     assert path is not None
-    logged = root / "tensorboard" / stem.name
+    logged = stem.with_name(f"{stem.name}.tensorboard") if to_file else root / "tensorboard" / stem.name
     shutil.rmtree(logged, ignore_errors=True)
     try:
         shutil.copytree(folder / "tensorboard", logged)

@@ -54,7 +54,7 @@ from tcbi_sim.store import ModelStore
 
 PLAN = "plan.json"  # in the study's folder
 COLLECTING, DEPLOYING, MOTIONS = 1, 2, 3  # seeds of the scenarios
-DRAWS = 4  # simulations of each deployed scenario, for the divergence
+DRAWS = 4  # simulations of each deployed scenario, each with parameters of its own, for the divergence
 EVALUATE_EVERY = 3  # sets of episodes: a short training has few of them, and the best moment is kept
 
 
@@ -305,23 +305,23 @@ def divergences(rollouts: list[Measurement], policy: Policy, model: Model, seed:
     """Jensen-Shannon divergence (nats) of each rollout's rewards from those that the model gives in its scenario.
 
     By nearest neighbours: bins would follow the rewards of the policy that ran, and each contestant has its own. The
-    simulated policy reads what the robot's sensors would tell it, and its rewards are made of such readings.
+    simulated policy reads what the robot's sensors would tell it, and its rewards are made of such readings. No two
+    rollouts share a parameter vector, whose luck would else be in all of them.
     """
     rng = np.random.default_rng([seed, 86028121])
     noise = sensor_noise(rollouts, load_rig(model.rig).noise)
     out = simulate(
         model,
-        model.sample(rng, DRAWS),
-        [m.scenario for m in rollouts],
+        model.sample(rng, DRAWS * len(rollouts)),
+        [m.scenario for m in rollouts for _ in range(DRAWS)],
         controller=policy,
         noise=noise,
+        pairing="zip",
         timestep=TIMESTEP_S,
         threads=threads,
     )
-    simulated = simulated_rewards(add_noise(out, noise, rng))  # (draws, rollouts, steps)
-    return [
-        float(js_nearest(episode_reward(m).steps, simulated[:, i].reshape(1, -1))[0]) for i, m in enumerate(rollouts)
-    ]
+    simulated = simulated_rewards(add_noise(out, noise, rng)).reshape(len(rollouts), 1, -1)
+    return [float(js_nearest(episode_reward(m).steps, s)[0]) for m, s in zip(rollouts, simulated, strict=True)]
 
 
 def _attitude(m: Measurement) -> np.ndarray:

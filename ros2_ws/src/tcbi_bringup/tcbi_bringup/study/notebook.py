@@ -6,6 +6,7 @@ with hold(folder):                                                      # one wr
 """
 
 import fcntl
+import functools
 import json
 import os
 import time
@@ -17,6 +18,7 @@ from typing import Any
 from tcbi_bringup.commands.console import plain
 from tcbi_bringup.errors import BringupError
 from tcbi_bringup.study.plan import Key
+from tcbi_sim.ray_workers import PACKAGES, code
 
 Result = dict[str, Any]
 LOCK = ".study.lock"
@@ -43,6 +45,12 @@ def hold(folder: Path) -> Iterator[None]:
         file.write(f"{os.getpid()}\n")
         file.flush()
         yield
+
+
+@functools.cache
+def _code() -> str:
+    """A digest of the code that the results of this process come from."""
+    return code((*PACKAGES, "tcbi_bringup"))
 
 
 class Notebook:
@@ -74,6 +82,7 @@ class Notebook:
             began, cpu = time.monotonic(), time.process_time()
             result = plain(work())
             result |= {"wall_s": round(time.monotonic() - began, 2), "cpu_s": round(time.process_time() - cpu, 2)}
+            result["code"] = _code()
             self._write(json.dumps({"key": list(key), "result": result}) + "\n")
             self._found[key] = result
         return self._found[key]

@@ -30,10 +30,11 @@ EXTRA = (
     "{length:g} s from each robot. It stands only on the robots where an effect was added; elsewhere it is {rival}."
 )
 WELCH = (
-    "Welch's t-test over all rollouts, as the paper has it. Rollouts on one robot resemble one another, so with few "
-    "robots its p values are too small. Each policy is one training: what another seed of the training would have "
-    "changed is in no interval and no p value. Where the difference of the divergence is positive, TCBI's model is "
-    "further from the robot."
+    "Welch's t-test over all rollouts, as the paper has it. It knows neither that rollouts on one robot resemble one "
+    "another, which makes its p values too small with few robots, nor that all methods met the same scenarios on the "
+    "same robots, which makes them too large where robots or scenarios differ much: the intervals know both. Each "
+    "policy is one training: what another seed of the training would have changed is in no interval and no p value. "
+    "Where the difference of the divergence is positive, TCBI's model is further from the robot."
 )
 BAND = "Mean over robots, with its 95 % interval as a band; with fewer than three, a thin line for each robot."
 NONE_OF_FEW = "Intervals are 95 %, Student's t over robots: with fewer than three robots there is none."
@@ -74,10 +75,17 @@ def lead(plan: Plan) -> str:
 def _short(findings: Findings, data: dict[str, Any]) -> list[str]:
     lines = []
     for task, found in data["tasks"].items():
-        ranked = sorted(found["performance"], key=lambda row: -row["return"])
+        most = max((row["robots"] for row in found["performance"]), default=0)
+        ranked = sorted((r for r in found["performance"] if r["robots"] == most), key=lambda row: -row["return"])
         if ranked:
             best = ", ".join(f"{row['label']} {row['return']:.0f}" for row in ranked)
             lines.append(f"{task}, mean return: {best}.")
+        lines += [
+            f"{task}: {LABELS[WINNER]} against {row['label']} on the same robots: {row['gain_returns']:+.0f} (95 %: "
+            f"{range_of(row, 'gain_returns')})."
+            for row in found["comparisons"]
+            if row["robots"] < most and row["name"] != EFFECT
+        ]
         effect = found["effect"]
         if effect:
             lines.append(

@@ -131,10 +131,10 @@ def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = ""
         raise UnknownNameError("preset", preset, tuple(PRESETS))
     plan = PRESETS[preset]
     if robots:
-        numbers = dict.fromkeys(text.strip() for text in robots.split(","))
-        if not all(number.isdecimal() for number in numbers):
+        texts = [text.strip() for text in robots.split(",")]
+        if not all(text.isdecimal() for text in texts):
             raise WrongCallError(describe("robots", robots, "numbers from 0 on, with commas"))
-        plan = dataclasses.replace(plan, robots=tuple((int(number), "strong") for number in numbers))
+        plan = dataclasses.replace(plan, robots=tuple((n, "strong") for n in dict.fromkeys(map(int, texts))))
     if tasks:
         names = _known(tasks, "task of the study", plan.tasks)
         plan = dataclasses.replace(plan, tasks={name: plan.tasks[name] for name in names})

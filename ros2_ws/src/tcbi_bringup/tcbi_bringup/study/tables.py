@@ -90,6 +90,17 @@ class Findings:
                         lines[f"robot {robot}: no effect was added, so {LABELS[name]} is {LABELS[WINNER]} there"] = None
         return list(lines)
 
+    def mixed(self) -> list[str]:
+        """A warning where the pieces come from several versions of the code, whose results may not compare."""
+        found = [self.notebook.get(*piece) for piece in self.plan.pieces()]
+        versions = {result["code"] for result in found if result and "code" in result}
+        if len(versions) < 2:
+            return []
+        return [
+            f"The pieces come from {len(versions)} versions of the code: what differs between methods may differ "
+            "between these. A study in a new folder (--out) has one."
+        ]
+
     def _missing(self) -> list[str]:
         places: dict[tuple[str, str], dict[str, None]] = {}
         for piece in self.plan.pieces():
@@ -199,14 +210,14 @@ def effect_gain(findings: Findings, task: str) -> dict[str, Any] | None:
     parts = [with_effect[r] - without[r] for r in both]
     low, high = interval(parts)
     means = {
-        "with": np.mean([with_effect[r].mean() for r in both]),
-        "without": np.mean([without[r].mean() for r in both]),
+        "with": np.mean([np.nanmean(with_effect[r]) for r in both]),
+        "without": np.mean([np.nanmean(without[r]) for r in both]),
     }
     return {
         "robots": len(both),
         "right": sum(findings.named(robot) == findings.hidden(robot) for robot in both),
         **means,
-        "gain": float(np.mean([p.mean() for p in parts])),
+        "gain": float(np.mean([np.nanmean(p) for p in parts])),
         "gain_low95": low,
         "gain_high95": high,
     }
@@ -265,7 +276,7 @@ def noise(findings: Findings, task: str) -> Rows:
                 pooled = np.concatenate(parts)
                 rows.append({
                     "name": name, "label": findings.label(name, len(parts)), "sigma": sigma,
-                    "return": float(np.nanmean(pooled)), "return_sd": float(np.nanstd(pooled)),
+                    "return": float(np.nanmean(pooled)), "return_sd": float(np.nanstd(pooled, ddof=1)),
                     "low95": low, "high95": high, "rollouts": len(pooled),
                 })  # fmt: skip
     return rows
@@ -333,7 +344,7 @@ def everything(findings: Findings) -> dict[str, Any]:
     return {
         "robots": findings.robots,
         "tasks": tasks,
-        "notes": findings.left_out(),
+        "notes": [*findings.mixed(), *findings.left_out()],
         "times": spent,
         "took": took(spent),
     }
