@@ -9,7 +9,8 @@ from typing import Any
 
 from tcbi_infer.errors import MappingError
 from tcbi_infer.readings import QUANTITIES, is_reading
-from tcbi_sim.errors import UnknownNameError
+from tcbi_sim.errors import SimError, UnknownNameError
+from tcbi_sim.rigs import load_rig
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {"rad": 1.0, "deg": math.pi / 180, "turn": 2 * math.pi, "N m": 1.0}
@@ -106,6 +107,8 @@ class _Checker:
         if not (isinstance(joints, list) and joints and all(isinstance(j, str) for j in joints)):
             self.faults.append(f"joints: got {joints!r}, allowed is a list of names")
             joints = ["joint"]
+        elif rig:
+            self._check_rig(rig, joints)
         time = self._section("time", {"column", "unit"})
         time_column = self._name("column", time, "time.column", "time")
         time_scale = self._unit(time, "time.unit", "s", TIME_UNITS)
@@ -139,6 +142,18 @@ class _Checker:
             raise MappingError(f"{self.name}: {'; '.join(self.faults)}")
         return mapping
 
+    def _check_rig(self, name: str, joints: list[str]) -> None:
+        try:
+            rig = load_rig(name)
+        except SimError as e:
+            self.faults.append(f"rig: {e}")
+            return
+        if missing := [joint for joint in rig.joint_names if joint not in joints]:
+            self.faults.append(
+                f"joints: got {', '.join(joints)}; the rig {name!r} has {', '.join(rig.joint_names)}, of which "
+                f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+            )
+
     def _text(self, key: str, default: str = "", required: bool = False) -> str:
         value = self.content.get(key, default)
         if not isinstance(value, str) or (required and not value):
@@ -169,16 +184,15 @@ class _Checker:
         if not isinstance(columns, list) or len(columns) != expected or not all(isinstance(c, str) for c in columns):
             self.faults.append(f"{key}.columns: got {columns!r}, allowed is a list of {expected} names")
             columns = [""] * expected
-        scale = self._factor(section.get("scale", 1.0), f"{key}.scale", joints)
-        factor = self._unit(section, f"{key}.unit", "rad", UNITS)
+        unit = self._unit(section, f"{key}.unit", "rad", UNITS)
         return Signal(
             columns=tuple(columns),
             file=self._name("file", section, f"{key}.file"),
             time=self._name("time", section, f"{key}.time"),
             listed=listed,
             pick=self._pick(section, f"{key}.pick"),
-            scale=tuple(s * factor for s in scale) if isinstance(scale, tuple) else scale * factor,
-            offset=self._factor(section.get("offset", 0.0), f"{key}.offset", joints),
+            scale=self._factor(section.get("scale", 1.0), f"{key}.scale", joints, unit),
+            offset=self._factor(section.get("offset", 0.0), f"{key}.offset", joints, unit),
         )
 
     def _name(self, key: str, section: dict[str, Any], what: str, default: str = "") -> str:
@@ -202,11 +216,11 @@ class _Checker:
         self.faults.append(f"{what}: got {value!r}, allowed is a list of places, the first of them 0")
         return ()
 
-    def _factor(self, value: Any, what: str, joints: int) -> tuple[float, ...] | float:
+    def _factor(self, value: Any, what: str, joints: int, unit: float = 1.0) -> tuple[float, ...] | float:
         if isinstance(value, (int, float)):
-            return float(value)
+            return value * unit
         if isinstance(value, list) and len(value) == joints and all(isinstance(v, (int, float)) for v in value):
-            return tuple(float(v) for v in value)
+            return tuple(v * unit for v in value)
         self.faults.append(f"{what}: got {value!r}, allowed is a number, or {joints} of them")
         return 1.0
 

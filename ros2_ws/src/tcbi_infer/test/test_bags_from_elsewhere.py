@@ -15,8 +15,11 @@ from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_bag, read_measurement, read_measurements
 from tcbi_infer.bags.tracker import heading, wanted_heading
 from tcbi_infer.bags.writer import BagWriter
+from tcbi_infer.compare.errors import WrongJointsError
+from tcbi_infer.compare.replay import Replay
 from tcbi_infer.errors import BagError
-from tcbi_sim.measurement import Scenario, progress, quaternion_from_rpy
+from tcbi_sim.measurement import Commands, Measurement, Scenario, progress, quaternion_from_rpy
+from tcbi_sim.model import base_model
 from tcbi_sim.sensing import multiply
 
 START = 5_000_000_000
@@ -120,6 +123,44 @@ def test_joints_in_another_order_are_put_in_the_rigs_by_name(tmp_path):
     assert "gripper left out" in only_note(back, "another order")
 
 
+def pendulum(joint_names: tuple[str, ...], rig: str = "double_pendulum") -> Measurement:
+    """A rollout whose every value is the place of its joint's name in the alphabet."""
+    place = [float(ord(name[0]) - ord("a")) for name in joint_names]
+    begin = {"initial_joint_position": tuple(place), "initial_joint_velocity": tuple(-x for x in place)}
+    commands = Commands(np.array([0.0]), np.array([place]), 0.0)
+    time = np.arange(20) * 0.01
+    values = np.tile(place, (20, 1))
+    return Measurement(
+        "log", rig, Scenario("log", float(time[-1]), **begin), "", "log", commands, joint_names, (), time, values
+    )
+
+
+@pytest.mark.parametrize(
+    "joint_names", [("shoulder", "elbow"), ("elbow", "shoulder"), ("gripper", "elbow", "shoulder")]
+)
+def test_joints_of_any_known_rig_are_read_in_its_order(tmp_path, joint_names):
+    m = read_measurement(write_measurement(tmp_path, pendulum(joint_names)))
+    assert m.joint_names == ("shoulder", "elbow")
+    assert m.joint_position[0].tolist() == m.commands.target[0].tolist() == [18.0, 4.0]
+    assert (m.scenario.initial_joint_position, m.scenario.initial_joint_velocity) == ((18.0, 4.0), (-18.0, -4.0))
+    assert bool(m.notes) == (joint_names != m.joint_names)
+
+
+def test_a_recording_without_a_joint_of_its_rig_is_compared_with_nothing(tmp_path):
+    m = read_measurement(write_measurement(tmp_path, pendulum(("shoulder", "wrist"))))
+    assert m.joint_names == ("shoulder", "wrist")
+    with pytest.raises(WrongJointsError, match="joints shoulder, elbow, but a rollout of it has shoulder, wrist"):
+        Replay.of(base_model("double_pendulum"), [m])
+
+
+def test_a_bag_of_a_rig_whose_file_is_broken_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("TCBI_RIGS", str(tmp_path))
+    (tmp_path / "arm.toml").write_text("model = 3\n")
+    bag = write_measurement(tmp_path, pendulum(("shoulder",), "arm"))
+    with pytest.raises(BagError, match=r"its rig cannot be used: rig file .*arm\.toml"):
+        read_measurement(bag)
+
+
 def test_lost_messages_leave_a_gap_that_is_named(tmp_path):
     case = rollout(samples=201)
     gap = (START + 1_000_000_000, START + 1_600_000_000)
@@ -136,6 +177,19 @@ def test_a_gap_in_one_topic_is_kept_with_the_fields_that_it_interrupts(tmp_path)
     assert [name for name, *_ in back.gaps] == ["attitude", "angular_velocity", "linear_acceleration"]
     assert back.gaps[0][1:] == (pytest.approx(1.0), pytest.approx(1.6))
     only_note(back, "imu/data: 1 gap")
+
+
+def test_a_topic_that_starts_late_and_stops_early_is_not_measured_there(tmp_path):
+    case = rollout(samples=201)
+    first, last = START + 600_000_000, START + 3_000_000_000
+    back = read_measurement(written(tmp_path, rows(case, lambda row: row[0] != IMU or first <= row[1] <= last)))
+    assert [gap for gap in back.gaps if gap[0] == "attitude"] == [
+        ("attitude", 0.0, pytest.approx(0.6)), ("attitude", pytest.approx(3.0), pytest.approx(4.0))
+    ]  # fmt: skip
+    assert {name for name, *_ in back.gaps} == {"attitude", "angular_velocity", "linear_acceleration"}
+    assert only_note(back, "imu/data") == (
+        "imu/data: 2 gaps, 1.60 s in all, the longest 1.00 s at 3.00 s; nothing is compared inside"
+    )
 
 
 def test_a_few_lost_messages_are_no_gap(tmp_path):

@@ -95,6 +95,16 @@ def test_without_replicates_the_floor_comes_from_fast_changes_and_says_so():
     assert np.mean(from_fast_changes(residual)) == pytest.approx(0.2, rel=0.1)
 
 
+def test_the_floor_says_of_how_many_motions_it_is():
+    layout, rng = Layout.of([recording()]), np.random.default_rng(0)
+    measured = rng.normal(0, 0.2, (5, 250, 18))
+    few, more = ([Replicates((0, 1), 0), *rest] for rest in ([Replicates((k,), k) for k in (2, 3, 4)], []))
+    once = noise_floor(layout, measured, measured, few)
+    assert (once.repeated, once.motions) == (1, 4)
+    assert once.statement.endswith("commands. 1 of 4 motions was repeated; its scatter stands for all.")
+    assert noise_floor(layout, measured[:2], measured[:2], more).statement.endswith("repeated the same commands.")
+
+
 def test_a_simulation_that_repeats_itself_to_the_last_bit_makes_no_floor_and_is_told():
     layout = Layout.of([recording()])
     measured = np.random.default_rng(0).normal(0, 0.2, (1, 250, 18)).repeat(3, axis=0)

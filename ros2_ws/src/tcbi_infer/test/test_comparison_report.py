@@ -6,8 +6,11 @@ import re
 import numpy as np
 import pytest
 from legged_cases import walk
+from pendulum_cases import MODEL as SWING
+from pendulum_cases import swing
 
 from tcbi_infer.compare.comparison import compare
+from tcbi_infer.compare.guards import unchecked
 from tcbi_infer.compare.ladder import ladder
 from tcbi_infer.compare.maps import heat
 from tcbi_infer.report import Report, add_comparison
@@ -64,6 +67,45 @@ def test_guards_come_before_any_figure(comparison):
     report = Report("x")
     add_comparison(report, dataclasses.replace(comparison, guards=("Something is wrong.",)))
     assert report.html().index("Something is wrong.") < report.html().index("times the noise floor")
+
+
+def text(comparison) -> list[str]:
+    """The paragraphs before any figure."""
+    report = Report("x")
+    add_comparison(report, comparison)
+    (section,) = (s for s in report.sections if s.title == "Prediction against measurement")
+    return section.text[1:]
+
+
+@pytest.mark.parametrize(("guards", "sound"), [((), True), (("Something is wrong.",), False)])
+def test_what_could_not_be_checked_of_a_recording_is_said(comparison, guards, sound):
+    some, none = comparison.rollouts[:1], comparison.rollouts
+    words = "of the recording were checked: nothing was found."
+    every = [f"Clocks, rates, wiring and units {words}"] * sound
+    assert text(dataclasses.replace(comparison, guards=guards)) == every
+    told = text(dataclasses.replace(comparison, guards=guards, unchecked=some))
+    assert told[:-1] == every
+    assert told[-1].startswith("Clocks, wiring and units in 1 of 4 rollouts (motion0_0) could not be checked: ")
+    told = text(dataclasses.replace(comparison, guards=guards, unchecked=none))
+    assert told[:-1] == [f"Stamps and rates {words}"] * sound
+    assert told[-1].startswith("Clocks, wiring and units could not be checked: the commands are torques, ")
+
+
+def test_no_clock_or_wiring_is_checked_of_torques_and_of_joints_that_stand_still(late_femur):
+    swings, m = swing(kinds=1), late_femur[0]
+    still = dataclasses.replace(m, rollout_id="still", joint_position=np.zeros_like(m.joint_position))
+    assert unchecked([m, *swings, still]) == (*(s.rollout_id for s in swings), "still")
+    assert compare(SWING, swings, particles=0).unchecked == ("swing0_0", "swing0_1")
+
+
+def test_where_every_prediction_diverged_no_place_is_told(comparison):
+    lost = dataclasses.replace(comparison, predicted=np.full_like(comparison.predicted, np.nan), where=())
+    for found, words in ((lost, "Not told: the prediction diverged in every rollout."),
+                         (dataclasses.replace(comparison, where=()), "Nowhere more than elsewhere.")):  # fmt: skip
+        report = Report("x")
+        add_comparison(report, found)
+        (section,) = (s for s in report.sections if s.title == "Where the error lives")
+        assert list(section.notes) == [words]
 
 
 def test_a_part_is_drawn_in_the_colour_of_its_joint():

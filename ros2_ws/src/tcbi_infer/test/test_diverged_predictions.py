@@ -56,6 +56,14 @@ def test_a_model_that_diverges_in_one_motion_is_not_judged_by_the_others(rollout
     assert "inf times the noise floor" in report.html()
 
 
+def test_a_model_that_diverges_everywhere_has_a_report(rollouts, monkeypatch):
+    diverge(monkeypatch, lambda count: np.ones(count, bool))
+    found = compare(MODEL, rollouts[2:], particles=0)
+    report = Report("x")
+    add_comparison(report, found)
+    assert "Not told: the prediction diverged in every rollout." in report.html()
+
+
 def test_what_one_rollout_did_not_measure_makes_no_error_infinite(rollouts):
     blind = walk(count=1, repeats=1)[0]
     blind.joint_position[40:50] = np.nan

@@ -79,8 +79,8 @@ def test_repeated_and_backward_times_are_put_in_order_and_said(tmp_path):
 
 
 CSV_MAPPING = """
-rig = "arm"
-joints = ["a", "b"]
+rig = "double_pendulum"
+joints = ["shoulder", "elbow"]
 [time]
 column = "t"
 unit = "ms"
@@ -88,7 +88,7 @@ unit = "ms"
 columns = ["qa", "qb"]
 unit = "deg"
 scale = [1, -1]
-offset = [0.0, 0.5]
+offset = [0.0, -90]
 [command]
 columns = ["ta", "tb"]
 kind = "torque"
@@ -96,6 +96,18 @@ unit = "N m"
 [constants]
 link = 0.3
 """
+
+
+def test_joints_in_another_order_than_the_rigs_and_one_more_are_taken(tmp_path):
+    text = CSV_MAPPING.replace('"shoulder", "elbow"', '"elbow", "shoulder", "jaw"').replace('"qb"]', '"qb", "ta"]')
+    text = text.replace("[1, -1]", "[1, -1, 1]").replace("[0.0, -90]", "[0, -90, 0]").replace('"tb"]', '"tb", "ta"]')
+    path = tmp_path / "run.csv"
+    path.write_text("t,qa,qb,ta,tb\n0,90,180,1,2\n10,0,0,1,3\n")
+    m = read_log(load_mapping(mapping_file(tmp_path, text)), path)
+    back = read_measurement(write_measurement(tmp_path / "bags", m, torque_commands=True))
+    assert back.joint_names == ("shoulder", "elbow") and back.commands.target[0].tolist() == [2, 1]
+    np.testing.assert_allclose(back.joint_position[0], [-1.5 * np.pi, np.pi / 2])
+    np.testing.assert_allclose(back.scenario.initial_joint_position, [-1.5 * np.pi, np.pi / 2])
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -106,7 +118,7 @@ def test_a_csv_log_with_units_signs_and_offsets(tmp_path, packed):
     mapping = load_mapping(mapping_file(tmp_path, CSV_MAPPING))
     m = read_log(mapping, path)
     assert m.rollout_id == "run" and mapping.torque_commands
-    np.testing.assert_allclose(m.joint_position[0], [np.pi / 2, 0.5 - np.pi])
+    np.testing.assert_allclose(m.joint_position[0], [np.pi / 2, -1.5 * np.pi])
     np.testing.assert_array_equal(m.time, [0.0, 0.01, 0.02])
     np.testing.assert_array_equal(m.commands.target, [[1, 2], [1, 3]])
     assert m.scenario.constant("link") == 0.3
@@ -144,6 +156,14 @@ def test_list_columns_in_two_files_of_a_folder(tmp_path):
         ),
         ('rig = "x"\njoints = ["a"]\n', r"\[position\] is missing"),
         ("rig = ", "is no TOML"),
+        (
+            'rig = "double_pendullum"\njoints = ["a"]\ncolour = 1\n[position]\ncolumn = "p"\n',
+            "unknown key 'colour'; rig: unknown rig 'double_pendullum'; did you mean 'double_pendulum'",
+        ),
+        (
+            'rig = "double_pendulum"\njoints = ["elbow", "wrist"]\n[position]\ncolumns = ["p", "q"]\n',
+            "joints: got elbow, wrist; the rig 'double_pendulum' has shoulder, elbow, of which shoulder is missing",
+        ),
     ],
 )
 def test_a_wrong_mapping_names_all_its_faults_in_one_line(tmp_path, text, words):

@@ -1,9 +1,11 @@
-"""Which rollouts make a kind of motion, where few policies were recorded."""
+"""Which rollouts repeat each other, and which make a kind of motion, where few policies were recorded."""
+
+import dataclasses
 
 import numpy as np
 import pytest
 
-from tcbi_infer.compare.replicates import find_replicates
+from tcbi_infer.compare.replicates import find_replicates, same_commands, same_motion
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 
 TIME = np.arange(100) / 50.0
@@ -38,3 +40,40 @@ def test_kinds_that_one_learned_policy_ties_together_are_one():
     """The second rollout repeats the motion of one policy, the third that of another."""
     tied = [rollout(0.3, "a@1"), rollout(0.7, "b@1"), rollout(0.305, "c@1"), rollout(0.705, "c@1")]
     assert kinds([*tied, rollout(1.1, "")]) == [0, 0, 0, 0, 1]
+
+
+def passing(speed: float | None) -> Measurement:
+    """One joint is let go while it passes zero at some speed (rad/s)."""
+    start = {"initial_joint_position": (0.0,), "initial_joint_velocity": None if speed is None else (speed,)}
+    return dataclasses.replace(rollout(0.3, "swing"), scenario=Scenario("log", 2.0, **start))
+
+
+def test_the_same_posture_at_another_speed_is_another_start():
+    sets = find_replicates([passing(speed) for speed in (2.0, -2.0, 2.02, None, 0.0)])
+    assert [s.members for s in sets] == [(0, 2), (1,), (3, 4)]
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 50.0])
+def test_torques_repeat_each_other_up_to_a_share_of_their_spread(size):
+    torques = size * np.sin(np.arange(20.0))[:, None]
+    asked = Commands(np.arange(20) * 0.1, torques)
+    off, other = (dataclasses.replace(asked, target=torques * share) for share in (1.005, 1.05))
+    assert same_commands(asked, off, torque=True) and not same_commands(asked, other, torque=True)
+    assert same_motion(asked, other, torque=True)
+    assert not same_motion(asked, dataclasses.replace(asked, target=torques * 1.2), torque=True)
+
+
+def test_a_rig_driven_by_torque_is_judged_by_its_torques():
+    """Torques of a few mN m are all a small motor gives: twice as much is no repeat."""
+    weak, strong = (
+        dataclasses.replace(
+            rollout(0.3, "a"), rig="double_pendulum", commands=Commands(TIME[:10], size * np.eye(10, 2))
+        )
+        for size in (1e-3, 2e-3)
+    )
+    assert [s.members for s in find_replicates([weak, strong, weak])] == [(0, 2), (1,)]
+
+
+def test_swings_without_torque_repeat_each_other():
+    free = Commands(np.zeros(1), np.zeros((1, 2)))
+    assert same_commands(free, free, torque=True) and same_motion(free, free, torque=True)

@@ -42,6 +42,14 @@ def page() -> str:
     return report.html()
 
 
+def test_a_version_that_diverged_is_marked_in_the_history_and_one_that_was_not_measured_is_not():
+    report = Report("Model versions")
+    nan, inf = float("nan"), float("inf")
+    add_history(report, [("v0", "–", "none", inf), ("v1", "v0", "backlash", 1.4), ("v2", "v1", "none", nan)])
+    assert report.html().count(">diverged<") == 1
+    add_history(report, [("v0", "–", "none", inf)])
+
+
 def test_a_report_loads_nothing_from_elsewhere():
     links = re.findall(r'(?:src|href)="([^"]+)"', page()) + re.findall(r"@import|url\((?!#)", page())
     assert all(link.startswith("#") for link in links)

@@ -227,7 +227,15 @@ def test_a_rollout_with_missing_samples_is_left_out_and_that_is_said(bench) -> N
     torn = dataclasses.replace(torn, time=torn.time[there], joint_position=torn.joint_position[there])
     problem = Problem.of(model, [torn, *measurements[1:]], timestep=0.01)
     assert torn.rollout_id not in problem.rollout_ids
-    assert f"{torn.rollout_id} left out: samples or commands are missing" in " ".join(problem.warnings)
+    assert f"{torn.rollout_id} left out: samples, commands or a signal are missing" in " ".join(problem.warnings)
+
+
+@pytest.mark.parametrize(("begin", "left_out"), [(1.0, True), (np.inf, False)])
+def test_a_rollout_of_which_a_signal_ended_early_is_left_out(bench, begin, left_out) -> None:
+    model, measurements = bench
+    cut = dataclasses.replace(measurements[0], gaps=(("joint_position", begin, np.inf),))
+    problem = Problem.of(model, [cut, *measurements[1:]], timestep=0.01)
+    assert (cut.rollout_id not in problem.rollout_ids) == left_out
 
 
 def test_without_its_policy_the_commands_are_replayed_and_that_is_said(bench) -> None:

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from legged_cases import motions, noisy, walk
 
+from tcbi_infer.compare import comparison as module
+from tcbi_infer.compare import task
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.noise import from_fast_changes, noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
+from tcbi_infer.compare.scorer import SignalError
 from tcbi_infer.compare.signals import ACCELERATION, ATTITUDE, CONTACT, JOINT, RATE, Layout, window_mean
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.engine import simulate
@@ -160,3 +163,49 @@ def test_motions_of_nearly_one_length_are_simulated_together_to_the_last_bit():
     rollouts = replay.simulate(MODEL, MODEL.mean()[None])
     whole = simulate(MODEL, MODEL.mean()[None], replay.scenarios, commands=replay.commands, rate=replay.layout.rate)
     assert np.array_equal(rollouts.joint_position, whole.joint_position)
+
+
+def dead(m: Measurement, *signals: str, begin: float = 1.2, end: float = 2.4) -> Measurement:
+    """The same recording; some sensors told nothing in a while, and their last value stands there."""
+    held = {}
+    for name in signals:
+        values = getattr(m, name).copy()
+        lost = (m.time > begin) & (m.time <= end)
+        values[lost] = values[max(int(np.argmax(lost)) - 1, 0)]
+        held[name] = values
+    return dataclasses.replace(m, **held, gaps=tuple((name, begin, end) for name in signals))
+
+
+def errors(rollouts: list[Measurement]) -> dict[str, SignalError]:
+    found = compare(MODEL, rollouts, particles=0)
+    return {e.name: e for e in (*found.signals, *found.statistics)}
+
+
+def test_what_a_sensor_did_not_tell_is_in_no_figure_of_the_task(rollouts):
+    lame = dead(rollouts[0], "position", "contact")
+    replay, whole = Replay.of(MODEL, [lame]), Replay.of(MODEL, rollouts[:1])
+    told, expected = task.measured(replay), task.measured(whole)
+    late, early = replay.time > 1.26, replay.time < 1.14
+    assert np.isnan(told["distance"][0, late]).all() and np.isnan(told["distance_end"]).all()
+    assert np.array_equal(told["distance"][0, early], expected["distance"][0, early])
+    assert np.array_equal(told["return"], expected["return"]), "no position counts in it"
+    share = whole.measurements[0].contact[replay.time <= 1.15, 0].mean()
+    assert told["contact_ratio_lf"][0, 0] == pytest.approx(share, abs=0.01)
+    found, right = errors([lame, *rollouts[1:]]), errors(rollouts)
+    assert found["distance"].error < 1.3 * right["distance"].error
+    assert found["contact_ratio_lf"].error < right["contact_ratio_lf"].error + 0.01
+
+
+def test_an_attitude_that_stopped_early_makes_no_return_and_no_final_inclination(rollouts):
+    told = task.measured(Replay.of(MODEL, [dead(rollouts[0], "attitude"), *rollouts[2:]]))
+    for name in ("return", "final_inclination"):
+        assert np.isfinite(told[name][:, 0]).tolist() == [False, True, True]
+
+
+def test_without_the_start_of_the_path_there_is_no_distance(rollouts, monkeypatch):
+    monkeypatch.setattr(module, "MEMORY", 1)  # one motion at a time
+    late = dataclasses.replace(dead(rollouts[0], "position", begin=0.0, end=0.5), distance=0.3)
+    found = compare(MODEL, [late, rollouts[2]], particles=2)
+    alone = compare(MODEL, [rollouts[2]], particles=2)
+    distance, expected = (next(e for e in c.signals if e.name == "distance") for c in (found, alone))
+    assert distance.error == pytest.approx(expected.error)

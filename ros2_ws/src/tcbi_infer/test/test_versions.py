@@ -5,12 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tcbi_infer.compare import replay as replay_module
+from tcbi_infer.compare.comparison import error_figure
 from tcbi_infer.compare.history import history
+from tcbi_infer.compare.ladder import was_seen
 from tcbi_infer.compare.versions import compare_versions, linked_parameters, marginal_evidence
 from tcbi_infer.errors import InferError
 from tcbi_infer.report import Report, add_difference
 from tcbi_sim.engine import simulate
-from tcbi_sim.measurement import Commands, Scenario
+from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model, base_model
 
 KEY = "rotor_inertia"
@@ -82,11 +85,51 @@ def test_the_report_of_a_difference_shows_both_versions():
         assert words in report.html()
 
 
-def test_rollouts_of_an_inference_count_as_seen_in_the_history():
+def recorded(*names: str) -> list[Measurement]:
+    """A ramp of the bench under several names."""
     base = base_model("servo_bench")
-    inferred = base.with_particles(base.particles, inference={"rollouts": ["seen"]})
     values = np.array([[p.nominal for p in base.parameters]])
     commands = Commands(np.arange(10) * 0.1, np.linspace(0, 1, 10)[:, None])
     out = simulate(base, values, [Scenario("log", 1.0, settle=0.0)], commands=[commands])
-    rollouts = [dataclasses.replace(out.measurement(0), rollout_id=name, commands=commands) for name in ("seen", "new")]
-    assert {line.rollouts for line in history([base, inferred], rollouts)} == {("new",)}
+    return [dataclasses.replace(out.measurement(0), rollout_id=name, commands=commands) for name in names]
+
+
+def fitted_to(*names: str, version: str = "servo_bench-v1") -> Model:
+    base = base_model("servo_bench")
+    return dataclasses.replace(base.with_particles(base.particles, inference={"rollouts": names}), version=version)
+
+
+def test_rollouts_of_an_inference_count_as_seen_in_the_history():
+    lines = history([base_model("servo_bench"), fitted_to("seen")], recorded("seen", "new"))
+    assert {line.rollouts for line in lines} == {("new",)}
+
+
+def test_pieces_of_a_recording_that_a_fit_has_seen_whole_are_seen():
+    rest, moving = (
+        dataclasses.replace(m.scenario, initial_joint_velocity=v) for m in recorded("x") for v in (None, (0.0,))
+    )
+    pieces = [dataclasses.replace(m, scenario=moving) for m in recorded("run-01", "run-102", "other-01")]
+    whole = [dataclasses.replace(m, scenario=rest) for m in recorded("run-2026")]
+    lines = history([fitted_to("run")], [*pieces, *whole])
+    assert lines[0].rollouts == ("other-01", "run-2026")
+    assert was_seen(pieces[0], {"run-01"}) and not was_seen(whole[0], {"run"})
+
+
+def test_rollouts_without_commands_are_not_counted_as_compared():
+    mute = dataclasses.replace(recorded("mute")[0], commands=Commands(np.empty(0), np.empty((0, 1))))
+    assert history([base_model("servo_bench")], [mute, *recorded("told")])[0].rollouts == ("told",)
+
+
+def test_the_floor_of_a_history_is_of_the_first_version_that_predicts(monkeypatch):
+    def broken(model, *args, **options):
+        out = simulate(model, *args, **options)
+        out.diverged |= model.version == "servo_bench-v0"
+        return out
+
+    monkeypatch.setattr(replay_module, "simulate", broken)
+    rng, (m,) = np.random.default_rng(0), recorded("a")
+    m = dataclasses.replace(m, joint_position=m.joint_position + rng.normal(0, 0.02, m.joint_position.shape))
+    second = fitted_to()
+    lines = history([base_model("servo_bench"), second], [m])
+    assert lines[0].error_over_floor == np.inf
+    assert lines[1].error_over_floor == pytest.approx(error_figure(second, [m]))

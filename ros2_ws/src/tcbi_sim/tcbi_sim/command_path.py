@@ -8,6 +8,8 @@ import numpy as np
 
 from tcbi_sim.fields import CommandFields
 
+Ramp = float | np.ndarray  # s, of all simulations or of each, (B, 1)
+
 
 class CommandPath:
     """The commands in flight and the ramp of every servo, in simulator time (s)."""
@@ -21,7 +23,7 @@ class CommandPath:
         self._start = np.zeros((count, joints))
         self._ramp = np.zeros((count, joints))
         self._accepted = np.zeros((count, joints))  # what the dead band compares with
-        self._pending: list[tuple[np.ndarray, np.ndarray, float]] = []  # (activation (B, J), target (B, J), ramp)
+        self._pending: list[tuple[np.ndarray, np.ndarray, Ramp]] = []  # (activation (B, J), target (B, J), ramp)
 
     def hold(self, ids: np.ndarray, target: np.ndarray, rngs: list[np.random.Generator]) -> None:
         """Stand at `target` (n, J) and forget what was in flight for these simulations."""
@@ -33,7 +35,7 @@ class CommandPath:
         for i, rng in zip(ids, rngs, strict=True):
             self._rngs[i] = rng
 
-    def give(self, time: float, target: np.ndarray, ramp: float) -> None:
+    def give(self, time: float, target: np.ndarray, ramp: Ramp) -> None:
         """Send `target` (B, J) at `time`; a row of NaN is no command for that simulation."""
         f = self.fields
         lost = np.isnan(target).any(axis=1)
@@ -68,7 +70,7 @@ class CommandPath:
 
     def _stepwise(self) -> bool:
         """Whether every command in flight acts as a step."""
-        return not any(ramp for _, _, ramp in self._pending) and bool(np.isinf(self.fields.speed).all())
+        return not any(np.any(ramp) for _, _, ramp in self._pending) and bool(np.isinf(self.fields.speed).all())
 
     def _steps(self, midpoints: np.ndarray) -> np.ndarray:
         """`references` where each servo holds the newest target that has reached it."""
@@ -94,10 +96,10 @@ class CommandPath:
         ramp = self._ramp[:, None, :]
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.clip((times - self._start[:, None, :]) / ramp, 0.0, 1.0)
-        share = np.where(ramp > 0, share, 1.0)
-        return self._from[:, None, :] + share * (self._to - self._from)[:, None, :]
+        begin, end = self._from[:, None, :], self._to[:, None, :]
+        return np.where(ramp > 0, begin + share * (end - begin), end)
 
-    def _begin(self, where: np.ndarray, at: np.ndarray, target: np.ndarray, ramp: float) -> None:
+    def _begin(self, where: np.ndarray, at: np.ndarray, target: np.ndarray, ramp: Ramp) -> None:
         start = np.where(where, at, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(self._ramp > 0, np.clip((start - self._start) / self._ramp, 0.0, 1.0), 1.0)

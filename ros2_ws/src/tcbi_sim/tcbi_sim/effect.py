@@ -41,12 +41,11 @@ def any_rig(rig: Rig) -> str:
     return ""
 
 
-def lacks(parameter: str) -> Callable[[Rig], str]:
-    """Only for rigs whose own model does not have this parameter already."""
+def lacks(quantity: str) -> Callable[[Rig], str]:
+    """Only for rigs whose own parameters do not set this quantity at every joint already (`Rig.own_quantities`)."""
 
     def why_not(rig: Rig) -> str:
-        own = any(p.name == parameter for p in rig.parameters) and not rig.floating
-        return f"its own model already has it (parameter {parameter})" if own else ""
+        return f"its own parameters already set the {quantity}" if quantity in rig.own_quantities else ""
 
     return why_not
 
@@ -54,6 +53,11 @@ def lacks(parameter: str) -> Callable[[Rig], str]:
 def position_servos(rig: Rig) -> str:
     """Only for rigs whose commands are positions."""
     return "" if rig.kind == "position" else "its commands are torques, not positions"
+
+
+def torque_limited(rig: Rig) -> str:
+    """Only for rigs whose servos have a greatest torque."""
+    return "" if rig.has_torque_limit else "its servos have no torque limit"
 
 
 def floating_rig(rig: Rig) -> str:

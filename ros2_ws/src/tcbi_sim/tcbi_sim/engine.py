@@ -25,7 +25,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.rig import Noise, Rig
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples
-from tcbi_sim.simulator import Simulator
+from tcbi_sim.simulator import TIMESTEP_S, Simulator, step_for
 from tcbi_sim.structure import compile_structure, edited_spec
 from tcbi_sim.workers import chunk_size, present
 
@@ -106,7 +106,7 @@ def simulate(
     controller: Controller | None = None,
     noise: Noise | None = None,
     pairing: str = "product",
-    timestep: float = 0.002,
+    timestep: float = TIMESTEP_S,
     rate: float | None = None,
     threads: int = 0,
     chunk: int = CHUNK,
@@ -123,7 +123,7 @@ def simulate(
       controller: closed loop at 5 Hz. Exactly one of the two.
       noise: of the sensors that the controller reads; it reads them perfectly by default. What is returned has none.
       pairing: "product", or "zip" to run parameters[i] on scenarios[i], which gives arrays (N, 1, ...).
-      timestep: s.
+      timestep: s at most; the longest one up to it that divides the sample interval is taken.
       rate: samples a second; the rig's own by default.
       threads: 0 for all processors.
       chunk: simulations held in memory at a time; open loop and stateless controllers do not depend on it.
@@ -131,7 +131,7 @@ def simulate(
       solver: MuJoCo's options in place of the rig's, by name: `integrator`, `cone`, `impratio`.
 
     Raises:
-      SimError: shapes that do not fit, or neither or both of commands and controller.
+      SimError: shapes that do not fit, a time step of 0 or less, or neither or both of commands and controller.
     """
     if (commands is None) == (controller is None):
         raise SimError("simulate needs either commands (open loop) or a controller (closed loop)")
@@ -144,8 +144,9 @@ def simulate(
     if commands is not None and len(commands) != s:
         raise SimError(f"{s} scenarios need {s} command sequences, got {len(commands)}")
     rows, columns = (np.arange(n), np.arange(n)) if pairing == "zip" else map(np.ravel, np.indices((n, s)))
+    timestep = step_for(rate or load_rig(model.rig).rate, timestep)
     repeats = _repeats(scenarios)
-    size = chunk if controller is not None else _chunk_size(scenarios, commands or (), len(rows), timestep, chunk)
+    size = chunk if controller is not None else _chunk_size(scenarios, len(rows), timestep, chunk)
     chunks = [
         Chunk(
             begin,
@@ -184,11 +185,9 @@ def _repeats(scenarios: Sequence[Scenario]) -> list[int]:
     return found
 
 
-def _chunk_size(
-    scenarios: Sequence[Scenario], commands: Sequence[Commands], count: int, timestep: float, most: int
-) -> int:
+def _chunk_size(scenarios: Sequence[Scenario], count: int, timestep: float, most: int) -> int:
     """Simulations in a chunk of open loop: as they suit the workers, where none has to wait for another one's end."""
-    if len({(s.duration, s.settle) for s in scenarios}) > 1 or len({c.ramp for c in commands}) > 1:
+    if len({(s.duration, s.settle) for s in scenarios}) > 1:
         return most
     return chunk_size(count, sum((s.duration + s.settle) / timestep for s in scenarios[:1]), most)
 
@@ -270,13 +269,14 @@ def _open_loop(simulator: Simulator, commands: list[Commands]) -> Part:
         if c.torque_on is not None:
             on = np.where(c.torque_on[inside], 1, -1)
             power[rows, b] = np.where(np.diff(on, prepend=1) != 0, on, 0)
+    ramps = np.array([[c.ramp] for c in commands])
     parts, next_command, powered = [simulator.observe()], 0, np.ones(simulator.count, bool)
     switched = np.floor(times[power.any(axis=1)] * simulator.rate + 1e-9).astype(int)
     windows = np.unique(np.r_[np.arange(0, samples, WINDOW), switched, samples])
     for k, last in itertools.pairwise(windows):
         end = last / simulator.rate
         while next_command < len(times) and times[next_command] < end - 1e-9:
-            simulator.path.give(float(times[next_command]), table[next_command], commands[0].ramp)
+            simulator.path.give(float(times[next_command]), table[next_command], ramps)
             powered = np.where(power[next_command] == 0, powered, power[next_command] > 0)
             next_command += 1
         simulator.set_torque(powered)

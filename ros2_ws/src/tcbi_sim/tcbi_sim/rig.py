@@ -44,6 +44,8 @@ class Rig:
     foot_names: tuple[str, ...] = ()
     floating: bool = False  # stands free on the ground
     has_imu: bool = False
+    own_quantities: frozenset[str] = frozenset()  # set by its parameters at every joint: as in PLACES, or back_emf
+    has_torque_limit: bool = False  # of its servos or motors
     kind: str = "position"  # what a command is: a servo's position, or torque
     joint_range: float = np.pi  # rad, either side of zero
     speed_limit: float = 2 * np.pi  # rad/s, of a joint without load

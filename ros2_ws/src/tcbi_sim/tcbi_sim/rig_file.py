@@ -78,27 +78,30 @@ class _Reader:
         groups = self._groups(joints)
         parameters = self._parameters(spec, joints)
         constants = self._constants(spec, joints)
+        if "torque_limit" not in servo:
+            self._torque_limits(spec, [*(s for _, s in parameters), *constants])
         if self.faults:
             raise RigFileError(self.path, self.faults)
         build = functools.partial(build_spec, self._model(), joints, commands, servo)
-        rig = Rig(
+        try:
+            model = build(0).compile()
+        except ValueError as e:
+            raise RigFileError(self.path, [f"MuJoCo refuses {self._model()}: {' '.join(str(e).split())}"]) from e
+        return Rig(
             name=self.path.stem,
             joint_names=joints,
             parameters=tuple(p for p, _ in parameters),
             build=build,
             apply=functools.partial(apply_settings, tuple(s for _, s in parameters), constants),
             noise=Noise(joint_position=numbers["joint_noise"], encoder_step=numbers["encoder_step"]),
+            own_quantities=set_everywhere([s for _, s in parameters], joints),
+            has_torque_limit=any(bool(model.actuator(j).forcelimited[0]) for j in joints),
             kind=commands,
-            joint_range=max((float(np.abs(spec.joint(j).range).max()) or math.pi for j in joints), default=math.pi),
+            joint_range=max(float(np.abs(model.joint(j).range).max()) or math.pi for j in joints),
             speed_limit=numbers["speed_limit"],
             rate=numbers["rate"],
             groups=groups,
         )
-        try:
-            build(0).compile()
-        except ValueError as e:
-            raise RigFileError(self.path, [f"MuJoCo refuses {self._model()}: {' '.join(str(e).split())}"]) from e
-        return rig
 
     def _model(self) -> Path:
         return self.path.parent / str(self.content.get("model", ""))
@@ -148,7 +151,33 @@ class _Reader:
                 self.faults.append(f"the model's actuator of {joint!r} takes no {commands} commands; change either")
             elif not own and commands == "position" and "gain" not in servo:
                 self.faults.append(f"joint {joint!r} has no actuator in the model; give [servo] with gain (N m/rad)")
+            elif own and not _replaces(servo, commands):
+                self._own_actuator(joint, own[0], commands)
         return servo
+
+    def _own_actuator(self, joint: str, actuator: mujoco.MjsActuator, commands: str) -> None:
+        """Faults where an actuator that stays makes anything else of a command than the recording says."""
+        whose = f"the model's actuator of {joint!r}"
+        if actuator.gear[0] != 1:
+            self.faults.append(
+                f"{whose} has gear {actuator.gear[0]:g}, allowed is 1, since commands are of the joint; remove gear, "
+                "and scale recordings of the motor's side in the mapping"
+            )
+        if commands == "torque" and actuator.gainprm[0] != 1:
+            self.faults.append(
+                f"{whose} has gainprm {actuator.gainprm[0]:g}, allowed is 1, since commands are in N m; make it a motor"
+            )
+
+    def _torque_limits(self, spec: mujoco.MjSpec, settings: list[Setting]) -> None:
+        """Faults where a torque limit is to be set that no actuator has."""
+        limited = {a.target for a in spec.actuators if _limited(a.forcelimited, a.forcerange)}
+        for setting in settings:
+            without = [j for j in setting.places if j not in limited]
+            if setting.quantity == "torque_limit" and without:
+                self.faults.append(
+                    f"{setting.name}: {', '.join(map(repr, without))} has no torque limit in the model that could be "
+                    "set; give [servo] with torque_limit (N m)"
+                )
 
     def _groups(self, joints: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
         groups = self.content.get("groups", {})
@@ -220,6 +249,22 @@ class _Reader:
         return Setting(name, sets, tuple(places), bool(section.get("factor", False)))
 
 
+def _limited(flag: int, ends: np.ndarray) -> bool:
+    """Whether a limit of an actuator counts: as it says, or by its ends where it says nothing."""
+    return bool(ends[0] < ends[1] if flag == mujoco.mjtLimited.mjLIMITED_AUTO else flag)
+
+
+def _replaces(servo: dict[str, float], commands: str) -> bool:
+    """Whether [servo] takes the place of the model's own actuators."""
+    return commands == "position" and "gain" in servo
+
+
+def set_everywhere(settings: list[Setting], joints: tuple[str, ...]) -> frozenset[str]:
+    """The quantities that settings, taken together, set at every joint."""
+    places = {q: {p for s in settings if s.quantity == q for p in s.places} for q in PLACES}
+    return frozenset(q for q, kind in PLACES.items() if kind == "joints" and set(joints) <= places[q])
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
@@ -237,8 +282,9 @@ def build_spec(
         own = [a for a in spec.actuators if a.target == name]
         actuator = own[0] if own else spec.add_actuator(target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.name = name
-        if commands == "position" and "gain" in servo:
+        if _replaces(servo, commands):
             actuator.set_to_position(kp=servo["gain"], kv=servo["gain"] * servo.get("lag", 0.0))
+            actuator.gear, actuator.ctrllimited = [1, 0, 0, 0, 0, 0], False
         elif not own:
             actuator.set_to_motor()
         if "torque_limit" in servo:

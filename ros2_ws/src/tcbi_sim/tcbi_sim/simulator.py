@@ -10,6 +10,7 @@ values, and never stops the others.
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -30,6 +31,7 @@ from tcbi_sim.sensing import Samples, delay, multiply, rotate_back, sense
 from tcbi_sim.structure import compile_structure, silence_mujoco
 from tcbi_sim.terrain import write_terrain
 
+TIMESTEP_S = 0.002  # at most, where none is asked for
 CLEARANCE = 0.004  # m above the ground before settling
 SETTLE_STRETCH = 2.5  # times the time step while settling: a posture at rest hardly depends on it
 SETTLE_STEP_S = 0.005  # but no longer than this
@@ -37,6 +39,17 @@ SETTLE_LAST_S = 0.1  # at the time step itself: contacts are softer over a longe
 MEMORY_S = 0.3  # s of samples kept for late sensors
 
 silence_mujoco()
+
+
+def step_for(rate: float, at_most: float = TIMESTEP_S) -> float:
+    """The longest time step (s) up to a limit that divides the sample interval of a rate (Hz).
+
+    Raises:
+      SimError: the limit is 0 or less.
+    """
+    if not at_most > 0:
+        raise SimError(f"timestep {at_most} s, allowed is more than 0")
+    return 1 / (rate * max(1, math.ceil(1 / (rate * at_most) - 1e-6)))
 
 
 class Simulator:
@@ -47,7 +60,7 @@ class Simulator:
         model: Model,
         parameters: np.ndarray,
         scenarios: Sequence[Scenario],
-        timestep: float = 0.002,
+        timestep: float | None = None,
         threads: int = 0,
         rate: float | None = None,
         solver: Mapping[str, Any] | None = None,
@@ -58,16 +71,20 @@ class Simulator:
           model: gives rig, effects and the order of parameters.
           parameters: (B, P) physical values.
           scenarios: B of them.
-          timestep: s; must divide the sample interval.
+          timestep: s; must divide the sample interval. By default the longest one up to `TIMESTEP_S` that does.
           threads: 0 for all processors.
           rate: samples a second; the rig's own by default.
           solver: MuJoCo's options in place of the rig's, by name: `integrator`, `cone`, `impratio`.
         """
         self.rig, self.uses, self._names = load_rig(model.rig), model.uses(), model.names
-        self.rate, self.timestep = rate or self.rig.rate, timestep
+        self.rate = rate or self.rig.rate
+        self.timestep = timestep = step_for(self.rate) if timestep is None else timestep
         self.per_sample = round(1 / (self.rate * timestep))
         if abs(self.per_sample * self.rate * timestep - 1) > 1e-6 or self.per_sample < 1:
-            raise SimError(f"timestep {timestep} s does not divide the sample interval {1 / self.rate} s")
+            raise SimError(
+                f"timestep {timestep} s does not divide the sample interval {1 / self.rate:.9g} s, allowed is that "
+                f"interval over a whole number, such as {step_for(self.rate, timestep):.9g} s"
+            )
         self.scenarios = list(scenarios)
         self.parameters = np.array(parameters, float)
         self._check_shapes()

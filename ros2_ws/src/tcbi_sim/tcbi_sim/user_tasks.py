@@ -68,7 +68,7 @@ def unusable(task: Task) -> list[str]:
 
 def _term_faults(number: int, term: Any) -> list[str]:
     """What is not as a Term of tcbi_policy.reward, which this package cannot name."""
-    kinds = {"name": str, "weight": (int, float), "unit": str, "formula": str, "measure": Callable}
+    kinds: dict[str, Any] = {"name": str, "weight": (int, float), "unit": str, "formula": str, "measure": Callable}
     lacks = [name for name in kinds if not hasattr(term, name)]
     if lacks:
         return [f"reward[{number}] is a {type(term).__name__}, allowed is a Term of tcbi_policy.reward"]

@@ -13,6 +13,7 @@ from tcbi_sim.measurement import Commands, Scenario
 from tcbi_sim.mjcf import materialise
 from tcbi_sim.model import base_model
 from tcbi_sim.rig import Noise
+from tcbi_sim.simulator import TIMESTEP_S, step_for
 from tcbi_sim.tasks import TASKS
 
 RNG = np.random.default_rng(3)
@@ -91,6 +92,23 @@ def test_a_rollout_does_not_depend_on_when_others_are_commanded():
     for s, commands in enumerate([COMMANDS[0], later]):
         alone = simulate(model, values, SHORT[s : s + 1], commands=[commands], timestep=0.01)
         np.testing.assert_array_equal(together.joint_position[0, s], alone.joint_position[0, 0])
+
+
+@pytest.mark.parametrize("effects", [(), ("command_latency",)])
+def test_each_rollout_has_its_own_ramp_whatever_the_others_have(effects):
+    model = base_model("servo_bench")
+    for effect in effects:
+        model = model.with_effect(effect)
+    values = model.sample(np.random.default_rng(0), 2)
+    times = np.arange(5) * 0.21
+    streams = [Commands(times, np.random.default_rng(i).normal(size=(5, 1)), r) for i, r in enumerate((0.0, 0.4, 0.1))]
+    run = functools.partial(simulate, model, values, timestep=0.005)
+    together = run([Scenario("bench", 1.0)] * 3, commands=streams)
+    chunked = run([Scenario("bench", 1.0)] * 3, commands=streams, chunk=2)
+    np.testing.assert_array_equal(together.joint_position, chunked.joint_position)
+    for s, stream in enumerate(streams):
+        alone = run([Scenario("bench", 1.0)], commands=[stream])
+        np.testing.assert_array_equal(together.joint_position[:, s], alone.joint_position[:, 0])
 
 
 def test_the_batch_agrees_with_a_plain_loop_over_mj_step():
@@ -238,5 +256,25 @@ def test_wrong_shapes_and_modes_are_refused_in_words():
         simulate(model, values, SHORT, commands=COMMANDS[:1])
     with pytest.raises(SimError, match="friction, mass, gain"):
         simulate(model, values[:, :2], SHORT, commands=COMMANDS)
-    with pytest.raises(SimError, match="does not divide"):
-        simulate(model, values, SHORT, commands=COMMANDS, timestep=0.003)
+    with pytest.raises(SimError, match=r"timestep 0\.003 s does not divide .* 0\.02 s, .* such as 0\.00285714286 s"):
+        Simulator(model, values, SHORT[:1], 0.003)
+    with pytest.raises(SimError, match="allowed is more than 0"):
+        simulate(model, values, SHORT, commands=COMMANDS, timestep=0.0)
+
+
+@pytest.mark.parametrize(
+    ("rate", "at_most", "steps"),
+    [(50, 0.002, 10), (50, 0.005, 4), (100, 0.002, 5), (100, 0.005, 2), (50, 0.01, 2),
+     (30, 0.002, 17), (60, 0.005, 4), (125, 0.005, 2), (200, 0.002, 3), (240, 0.002, 3), (1000, 0.005, 1)],
+)  # fmt: skip
+def test_the_longest_time_step_up_to_a_limit_divides_the_sample_interval(rate, at_most, steps):
+    assert step_for(rate, at_most) == 1 / (rate * steps) <= at_most
+
+
+@pytest.mark.parametrize("rate", [30, 60, 125, 200, 240, 250, 500, 1000])
+def test_a_rig_is_simulated_at_any_rate(rate):
+    model, turn = base_model("servo_bench"), Commands(np.zeros(1), np.ones((1, 1)), 0.0)
+    run = functools.partial(simulate, model, model.mean()[None], [Scenario("bench", 0.5)], commands=[turn], rate=rate)
+    fine, coarse = (run(timestep=step).joint_position[0, 0, :, 0] for step in (TIMESTEP_S, 0.005))
+    assert len(fine) == rate // 2 + 1
+    np.testing.assert_allclose(fine, coarse, atol=0.02)

@@ -9,7 +9,8 @@ from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Scenario
 from tcbi_sim.mjcf import materialise
 from tcbi_sim.model import base_model
-from tcbi_sim.rig_file import RigFileError, read_rig
+from tcbi_sim.rig_file import RigFileError, read_rig, set_everywhere
+from tcbi_sim.rig_settings import Setting
 from tcbi_sim.rigs import RIGS, load_rig, rig_names
 from tcbi_sim.store import ModelStore
 
@@ -135,6 +136,94 @@ def test_what_is_wrong_is_told_in_one_line_each(folder, old, new, told):
         load_rig("my_arm")
 
 
+MOTOR = '<actuator><motor joint="hinge"/></actuator>'
+SERVO = '<actuator><position joint="hinge" kp="4"/></actuator>'
+
+
+def actuated(folder, actuator, commands="torque", servo=""):
+    """The rig of an arm with an actuator of its own, whose mass is its only parameter."""
+    (folder / "arm.xml").write_text(MJCF.replace("<keyframe>", f"{actuator}<keyframe>"))
+    load = TOML[TOML.index("[parameters.load]") :]
+    (folder / "my_arm.toml").write_text(f"model = 'arm.xml'\ncommands = '{commands}'\n{servo}\n{load}")
+    return load_rig("my_arm")
+
+
+@pytest.mark.parametrize(
+    ("actuator", "commands", "told"),
+    [
+        (MOTOR.replace("/></", ' gear="100"/></'), "torque", "'hinge' has gear 100, allowed is 1.*remove gear"),
+        (MOTOR.replace("motor", "general gainprm='5'"), "torque", "gainprm 5, allowed is 1.*make it a motor"),
+        (SERVO.replace("/></", ' gear="2"/></'), "position", "has gear 2, allowed is 1"),
+    ],
+    ids=("gear", "gain", "gear of a servo"),
+)
+def test_an_actuator_that_changes_commands_is_refused(folder, actuator, commands, told):
+    with pytest.raises(RigFileError, match=told):
+        actuated(folder, actuator, commands)
+
+
+def test_an_actuator_that_takes_commands_as_they_are_stays_and_one_that_does_not_is_replaced_by_a_servo(folder):
+    assert actuated(folder, MOTOR).kind == "torque"
+    assert actuated(folder, SERVO, "position").kind == "position"
+    geared = SERVO.replace("/></", ' gear="2" ctrlrange="-0.1 0.1"/></')
+    actuated(folder, geared, "position", "[servo]\ngain = 40.0")
+    angle, _ = rest(base_model("my_arm"), [1.0])
+    assert 40.0 * (0.5 - angle) == pytest.approx(0.3 * 9.81 * 0.1 * np.sin(angle), abs=1e-3)
+
+
+def test_a_joints_range_is_in_radians_whatever_the_models_unit(folder):
+    for unit, ends in (("degree", "-110 60"), ("radian", "-1.9198621772 1.0")):
+        model = MJCF.replace("<worldbody>", f'<compiler angle="{unit}"/><worldbody>')
+        (folder / "arm.xml").write_text(model.replace('type="hinge"', f'type="hinge" range="{ends}"'))
+        assert read_rig(folder / "my_arm.toml").joint_range == pytest.approx(np.radians(110))
+
+
+NUMBERS = 'unit = "1"\nlow = 0.1\nhigh = 2.0\nnominal = 1.0\n'
+
+
+def offered(folder, *parameters, limit=True):
+    """Names of the effects that are offered for an arm with these parameters, each `NAME` and what it sets."""
+    sections = "".join(f"[parameters.{n}]\nsets = '{q}'\n{NUMBERS}" for n, q in parameters)
+    servo = "[servo]\ngain = 4.0\n" + ("torque_limit = 1.0\n" if limit else "")
+    (folder / "my_arm.toml").write_text(f"model = 'arm.xml'\n{servo}{sections}")
+    return {u.effect.name for u in candidates(read_rig(folder / "my_arm.toml"))}
+
+
+@pytest.mark.parametrize(
+    ("quantity", "effect"),
+    [
+        ("torque_limit", "torque_saturation"),
+        ("damping", "viscous_damping"),
+        ("friction", "coulomb_friction"),
+        ("gain", "gravity_droop"),
+        ("armature", "rotor_inertia"),
+    ],
+)
+def test_an_effect_is_not_offered_where_a_parameter_of_any_name_sets_the_same_at_every_joint(folder, quantity, effect):
+    assert effect in offered(folder, ("drag", "lag"))
+    assert effect not in offered(folder, ("drag", quantity))
+
+
+def test_an_effect_is_offered_where_a_parameter_sets_the_same_at_some_joints_only():
+    rig = load_rig("double_pendulum")
+    first, second = (Setting("rotor", "armature", (joint,)) for joint in rig.joint_names)
+    assert set_everywhere([first], rig.joint_names) == frozenset()
+    assert set_everywhere([first, second], rig.joint_names) == {"armature"} == rig.own_quantities
+
+
+def test_effects_on_the_torque_limit_are_offered_only_where_there_is_one(folder):
+    both = {"torque_saturation", "speed_limit"}
+    assert both <= offered(folder, ("drag", "lag"))
+    assert not both & offered(folder, ("drag", "lag"), limit=False)
+    for name in ("so101_arm", "double_pendulum"):
+        assert not both & {u.effect.name for u in candidates(load_rig(name))}
+
+
+def test_a_torque_limit_that_nothing_has_cannot_be_a_parameter(folder):
+    with pytest.raises(RigFileError, match=r"most: 'hinge' has no torque limit.*give \[servo\] with torque_limit"):
+        offered(folder, ("most", "torque_limit"), limit=False)
+
+
 def test_a_model_that_mujoco_refuses_is_refused_in_one_line(folder):
     (folder / "arm.xml").write_text(MJCF.replace('mass="0.3"', 'mass="-1"'))
     with pytest.raises(RigFileError, match="MuJoCo"):
@@ -152,11 +241,11 @@ def test_described_rigs_come_with_the_package_and_are_saved_with_effects(name, t
     """Their shapes have no names, as in many users' files."""
     rig = load_rig(name)
     assert name in RIGS and candidates(rig)
-    saved = ModelStore(tmp_path).save(base_model(rig).with_effect("rotor_inertia"))
+    saved = ModelStore(tmp_path).save(base_model(rig).with_effect("viscous_damping"))
     own = materialise(saved)
     exported = mujoco.MjModel.from_xml_path(str(tmp_path / "models" / saved.version / "model.xml"))
-    np.testing.assert_allclose(exported.dof_armature, own.dof_armature, rtol=1e-4)
-    assert (own.dof_armature > rig.build(0).compile().dof_armature).all()
+    np.testing.assert_allclose(exported.dof_damping, own.dof_damping, rtol=1e-4)
+    assert (own.dof_damping > rig.build(0).compile().dof_damping).all()
     assert exported.ngeom == own.ngeom > 0
 
 

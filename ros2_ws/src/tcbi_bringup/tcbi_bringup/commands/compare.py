@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_bags(parser)
     console.add_model(parser)
     console.add_report(parser)
-    parser.add_argument("--timestep", type=above(0.0), default=0.002, help="s, of the simulation (default: 0.002)")
+    parser.add_argument("--timestep", type=above(0.0), default=0.002, help="s at most (default: 0.002)")
     parser.add_argument(
         "--particles",
         type=between(0, 256),

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     if measurements and not lines[0].rollouts:
         console.note("all of these rollouts were used in a fit; the figures are those kept with the versions")
     elif left_out := len(measurements) - len(lines[0].rollouts if measurements else ()):
-        console.note(f"{left_out} of {len(measurements)} rollouts left out, since a fit has seen them")
+        console.note(f"{left_out} of {len(measurements)} rollouts left out: seen by a fit, or without commands")
     nan = float("nan")
     rows = [
         (

@@ -36,8 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read every log first, then write: a fault in one leaves nothing behind."""
+    """Read every log first, then write: a fault in one, or a bag that is there already, leaves nothing behind."""
     from tcbi_infer.bags.measurement_writer import write_measurement
+    from tcbi_infer.bags.writer import check_free
     from tcbi_infer.importer import logs_in, read_rollouts
     from tcbi_infer.mapping import load_mapping
 
@@ -45,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
     if args.window is not None:
         mapping = dataclasses.replace(mapping, window=args.window)
     measurements = [m for log in logs_in(args.logs, mapping) for m in read_rollouts(mapping, log)]
+    check_free(args.out, [m.rollout_id for m in measurements])
     rows = []
     for m in measurements:
         bag = write_measurement(args.out, m, torque_commands=mapping.torque_commands)

@@ -137,6 +137,12 @@ def _over_robots(key: str, each: Sequence[float]) -> dict[str, Any]:
     return {key: float(np.mean(each)), f"{key}_low95": low, f"{key}_high95": high}
 
 
+def _sd(values: np.ndarray) -> float:
+    """Of those that are finite; NaN where fewer than two are."""
+    known = values[np.isfinite(values)]
+    return float(known.std(ddof=1)) if len(known) > 1 else float("nan")
+
+
 def performance(findings: Findings, task: str) -> Rows:
     """Tables 4 and 5: return, final inclination and distance of each contestant's policy on the robots."""
     rows = []
@@ -150,7 +156,7 @@ def performance(findings: Findings, task: str) -> Rows:
         ):
             parts = [factor * v for v in findings.values(task, name, what).values()]
             pooled = np.concatenate(parts)
-            row |= {key: float(np.nanmean(pooled)), f"{key}_sd": float(np.nanstd(pooled, ddof=1))}
+            row |= {key: float(np.nanmean(pooled)), f"{key}_sd": _sd(pooled)}
             row[f"{key}_low95"], row[f"{key}_high95"] = interval(parts)
         rows.append(row | {"label": findings.label(name, len(parts)), "robots": len(parts), "rollouts": len(pooled)})
     return rows
@@ -276,7 +282,7 @@ def noise(findings: Findings, task: str) -> Rows:
                 pooled = np.concatenate(parts)
                 rows.append({
                     "name": name, "label": findings.label(name, len(parts)), "sigma": sigma,
-                    "return": float(np.nanmean(pooled)), "return_sd": float(np.nanstd(pooled, ddof=1)),
+                    "return": float(np.nanmean(pooled)), "return_sd": _sd(pooled),
                     "low95": low, "high95": high, "rollouts": len(pooled),
                 })  # fmt: skip
     return rows

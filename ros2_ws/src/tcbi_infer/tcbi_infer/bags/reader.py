@@ -9,6 +9,7 @@ is said in `Measurement.notes`, a line each. The joint states' stamps are the ti
 taken at the same stamp unchanged, else between its neighbours: linear, contacts the last one seen.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from functools import partial
 from math import degrees, pi, remainder
@@ -26,8 +27,10 @@ from tcbi_infer.bags.rollouts import Span, lacking, spans
 from tcbi_infer.bags.streams import Recording, Stream, load, stream
 from tcbi_infer.bags.tracker import TURNED, heading, turned, wanted_heading
 from tcbi_infer.errors import BagError, EmptyRolloutError
-from tcbi_infer.gaps import GAP_PERIODS, GAP_S, sample_gaps
+from tcbi_infer.gaps import GAP_PERIODS, GAP_S, Gap
+from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Measurement, Scenario, continuous
+from tcbi_sim.rigs import load_rig, rig_names
 
 HEXAPOD = "hexapod"
 LEAST_COVER = 0.5  # of the rollout; a signal that covers less is left out
@@ -99,19 +102,20 @@ def read_bag(bag: Path, rig: str | None = None, namespace: str | None = None) ->
 
 def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Measurement:
     notes = [*recording.notes, *span.notes]
-    rig, joint_names = _rig(recording, span, wanted_rig)
+    rig, joint_names, noted_names = _rig(recording, span, wanted_rig)
     joints = _within(_joints(recording, joint_names, notes), span)
     if joints is None or len(joints) < 2:
         raise EmptyRolloutError(
             f"{recording.path}: rollout {span.rollout_id!r} holds no joint_states after its BEGIN event"
         )
-    _say_gaps(JOINT_STATES, joints, span, notes)
+    _say_gaps(JOINT_STATES, _missing(joints, joints, span), notes)
+    _say_late(joints, span, notes)
     gaps: list[tuple[str, float, float]] = []
     read = partial(_signal, recording, joints=joints, span=span, notes=notes, gaps=gaps)
     imu = {name: read(IMU, row, name) for name, row in IMU_ROWS.items()}
     foot_names, contact_row = _feet(recording, rig)
     contact = read(FOOT_CONTACTS, contact_row, "contact")
-    scenario = span.scenario(int(joints.stamp[-1]))
+    scenario = _begun(span.scenario(int(joints.stamp[-1])), noted_names, joint_names)
     position = _along_heading(read(TRACKER_POSE, _position, "position"), recording, span, scenario, notes)
     _say_missing(recording, rig, notes)
     attitude = imu["attitude"]
@@ -138,8 +142,11 @@ def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Me
     )
 
 
-def _rig(recording: Recording, span: Span, wanted: str | None) -> tuple[str, tuple[str, ...]]:
-    """The rig's name and its joints in order."""
+def _rig(recording: Recording, span: Span, wanted: str | None) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    """The rig's name, its joints in its own order, and in the order of the note's starting posture.
+
+    A hexapod's posture is noted in the rig's order, another robot's in that of its joint states.
+    """
     records = recording.records.get(JOINT_STATES)
     if not records:
         kind = EmptyRolloutError if recording.records.get(ROLLOUT_EVENT) else BagError
@@ -164,7 +171,33 @@ def _rig(recording: Recording, span: Span, wanted: str | None) -> tuple[str, tup
         raise BagError(
             f"{recording.path}: it is a recording of the rig {rig!r}, wanted is {wanted!r}; choose a model of that rig"
         )
-    return rig, JOINTS if rig == HEXAPOD else seen
+    if rig == HEXAPOD:
+        return rig, JOINTS, JOINTS
+    own = _joints_of(rig, recording)
+    whole = next((names for names in every if own and set(own) <= set(names)), None)
+    return (rig, seen, seen) if whole is None else (rig, own, whole)
+
+
+def _joints_of(rig: str, recording: Recording) -> tuple[str, ...]:
+    """The joints of a rig in its own order; none where the rig is not known."""
+    if rig not in rig_names():
+        return ()
+    try:
+        return load_rig(rig).joint_names
+    except SimError as e:
+        raise BagError(f"{recording.path}: its rig cannot be used: {e}") from e
+
+
+def _begun(scenario: Scenario, noted: tuple[str, ...], joint_names: tuple[str, ...]) -> Scenario:
+    """A scenario whose starting posture and speed, noted in one order of joints, are put in the rig's."""
+
+    def pick(values: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if values is None or len(values) != len(noted):
+            return values
+        return tuple(values[noted.index(name)] for name in joint_names)
+
+    position, velocity = pick(scenario.initial_joint_position), pick(scenario.initial_joint_velocity)
+    return dataclasses.replace(scenario, initial_joint_position=position, initial_joint_velocity=velocity)
 
 
 def _joints(recording: Recording, joint_names: tuple[str, ...], notes: list[str]) -> Stream | None:
@@ -284,10 +317,9 @@ def _signal(
     if covered < LEAST_COVER:
         notes.append(f"{topic}: covers only {covered:.0%} of the rollout and is left out")
         return None
-    inside = _within(found, span)
-    if inside is not None and len(inside) > 1:
-        _say_gaps(topic, inside, span, notes)
-        gaps += [(name, gap.begin, gap.end) for gap in sample_gaps((inside.stamp - span.begin) * 1e-9)]
+    missing = _missing(found, joints, span)
+    _say_gaps(topic, missing, notes)
+    gaps += [(name, gap.begin, gap.end) for gap in missing]
     if not np.isfinite(found.values).all():
         notes.append(f"{topic}: holds values that are no numbers; the signal is left out")
         return None
@@ -317,9 +349,20 @@ def _at(found: Stream, stamp: np.ndarray, hold: bool, unit: bool) -> np.ndarray:
     return values
 
 
-def _say_gaps(name: str, found: Stream, span: Span, notes: list[str]) -> None:
-    time = (found.stamp - span.begin) * 1e-9
-    gaps = sample_gaps(time)
+def _missing(found: Stream, joints: Stream, span: Span) -> list[Gap]:
+    """Where a signal stops for longer than it should while the joints were measured, at the begin and the end too."""
+    edges = np.r_[joints.stamp[0], found.between(joints.stamp[0], joints.stamp[-1]).stamp, joints.stamp[-1]]
+    time = (edges - span.begin) * 1e-9
+    return [Gap(float(time[k]), float(time[k + 1])) for k in np.flatnonzero(np.diff(time) > _longest_step(found))]
+
+
+def _longest_step(found: Stream) -> float:
+    """The step (s) between two samples beyond which some are missing."""
+    periods = GAP_PERIODS * float(np.median(np.diff(found.stamp))) * 1e-9 if len(found) > 1 else 0.0
+    return max(GAP_S, periods)
+
+
+def _say_gaps(name: str, gaps: list[Gap], notes: list[str]) -> None:
     if gaps:
         worst = max(gaps, key=lambda gap: gap.length)
         total = sum(gap.length for gap in gaps)
@@ -327,9 +370,12 @@ def _say_gaps(name: str, found: Stream, span: Span, notes: list[str]) -> None:
             f"{name}: {len(gaps)} gap{'s' if len(gaps) > 1 else ''}, {total:.2f} s in all, the longest "
             f"{worst.length:.2f} s at {worst.begin:.2f} s; nothing is compared inside"
         )
-    late = (found.stamp[0] - span.begin) * 1e-9
-    if late > max(GAP_S, GAP_PERIODS * float(np.median(np.diff(time)))):
-        notes.append(f"{name}: begins {late:.2f} s after the rollout does; how it started is lost")
+
+
+def _say_late(joints: Stream, span: Span, notes: list[str]) -> None:
+    late = (joints.stamp[0] - span.begin) * 1e-9
+    if late > _longest_step(joints):
+        notes.append(f"{JOINT_STATES}: begins {late:.2f} s after the rollout does; how it started is lost")
 
 
 def _say_missing(recording: Recording, rig: str, notes: list[str]) -> None:

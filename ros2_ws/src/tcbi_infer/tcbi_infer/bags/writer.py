@@ -9,6 +9,7 @@ a row of complete chunks at any moment. Not safe for several threads.
 """
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -119,7 +120,7 @@ class BagWriter:
     """
 
     def __init__(self, folder: Path, name: str, custom: Mapping[str, str] | None = None) -> None:
-        if not name or name != Path(name).name or name.startswith("."):
+        if not _is_plain(name):
             raise BagError(f"a bag's name: got {name!r}, allowed is a plain file name")
         self.path = folder / name
         self.working_path = folder / (name + UNFINISHED)
@@ -273,6 +274,24 @@ class BagWriter:
         except RecordingError:
             self.give_up()
             raise
+
+
+def check_free(folder: Path, names: Sequence[str]) -> None:
+    """That a bag of each name can be made in a folder.
+
+    Raises:
+      BagError: two bear one name, there is one already, or it is no name for a bag; all of them are named.
+    """
+    taken = [folder / end for name in dict.fromkeys(names) for end in (name, name + UNFINISHED)]
+    faults = [f"{path} exists already" for path in taken if path.exists()]
+    faults += [f"{count} rollouts are named {name!r}" for name, count in Counter(names).items() if count > 1]
+    faults += [f"{name!r} is no plain file name" for name in names if not _is_plain(name)]
+    if faults:
+        raise BagError(f"{'; '.join(faults)}; give the logs other names, move bags away, or choose another folder")
+
+
+def _is_plain(name: str) -> bool:
+    return bool(name) and name == Path(name).name and not name.startswith(".")
 
 
 def contract_type(topic: str) -> str:

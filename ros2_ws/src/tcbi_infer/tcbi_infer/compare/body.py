@@ -55,6 +55,8 @@ class Whole:
 def body_findings(layout: Layout, residual: np.ndarray, floor: np.ndarray, whole: Whole, span: int) -> list[Finding]:
     """Groups of the body's signals that stand above the joints, each with its worst phase and moment.
 
+    None where the prediction diverged in every rollout.
+
     Args:
       layout: the channels.
       residual: (R, T, C) measured less predicted, NaN where missing.
@@ -62,6 +64,8 @@ def body_findings(layout: Layout, residual: np.ndarray, floor: np.ndarray, whole
       whole: phases of the robot.
       span: samples of a moment.
     """
+    if not np.isfinite(residual[..., layout.where(JOINT)]).any():
+        return []
     over_joint = _over(residual, floor, layout.where(JOINT))
     findings = []
     for group in VERBS:

@@ -12,11 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
-from tcbi_infer.compare.replicates import find_replicates
+from tcbi_infer.compare.replicates import by_torque, find_replicates
 from tcbi_infer.compare.signals import Layout, reference
 from tcbi_infer.readings import shifted
 from tcbi_sim.measurement import Measurement
-from tcbi_sim.rigs import load_rig, rig_names
 
 MOVES = np.radians(2.0)  # rad, standard deviation of a command that counts as motion
 STEP, COARSE, REACH = 0.005, 0.02, 1.0  # s, of the lags tried
@@ -140,11 +139,6 @@ def clock_rate(followings: Sequence[Following]) -> float:
     if len(found) < 2 or len(found) < len(told) / 2 or np.abs(found - np.median(found)).max() > SAME_RATE:
         return 1.0
     return float(np.median(found))
-
-
-def by_torque(m: Measurement) -> bool:
-    """Whether the commands are torques, which no joint position follows."""
-    return m.rig in rig_names() and load_rig(m.rig).kind == "torque"
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:

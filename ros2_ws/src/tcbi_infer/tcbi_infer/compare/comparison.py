@@ -10,7 +10,7 @@ from tcbi_infer.compare import task
 from tcbi_infer.compare.common_lag import common_lag
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.findings import Finding, Moment
-from tcbi_infer.compare.guards import guard
+from tcbi_infer.compare.guards import guard, unchecked
 from tcbi_infer.compare.locate import locate
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
@@ -37,6 +37,7 @@ class Comparison:
       statistics: what the task is about, one figure a rollout: return, final inclination, contact ratios, …
       error_over_floor: root mean square of `ratio` over joints and attitude; infinite where the model diverged.
       guards: findings about the recording and the replay, to be read before any figure.
+      unchecked: rollouts of which no clock, wiring or unit could be checked.
       worst: the moments to look at first, the worst one in front.
       distance: travelled, over time; None where no tracker told.
       predicted: (R, T, C) with the model's mean parameters; `low`, `high` bound the predictive 90 % band.
@@ -56,6 +57,7 @@ class Comparison:
     high: np.ndarray
     worst: tuple[WorstMoment, ...] = ()
     distance: Traces | None = None
+    unchecked: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""
@@ -149,6 +151,7 @@ def compare(
         scorer.high,
         tuple(worst(replay, predicted, floor.values)),
         scorer.traces(task.DISTANCE),
+        unchecked([m for m in measurements if m.rollout_id in names]),
     )
 
 

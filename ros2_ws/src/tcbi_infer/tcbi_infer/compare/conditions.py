@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.compare.clocks import by_torque
 from tcbi_infer.compare.kinds import UNDER_LOAD
+from tcbi_infer.compare.replicates import by_torque
 from tcbi_infer.compare.signals import DEGREE, JOINT, Layout, reference
 from tcbi_infer.readings import QUANTITIES, Quantity, on_joints
 from tcbi_sim.measurement import Measurement

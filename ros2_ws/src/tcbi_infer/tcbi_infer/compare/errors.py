@@ -31,3 +31,13 @@ class WrongRigError(CompareError):
             f"model {model!r} is of the rig {rig!r}, but a rollout is of {seen!r} with joints {', '.join(joints)}; "
             "choose another --model or leave the rollout out"
         )
+
+
+class WrongJointsError(CompareError):
+    """A rollout of the model's rig without all of its joints."""
+
+    def __init__(self, rig: str, joints: tuple[str, ...], seen: tuple[str, ...]):
+        super().__init__(
+            f"the rig {rig!r} has the joints {', '.join(joints)}, but a rollout of it has {', '.join(seen)}; correct "
+            "the names in the rig's file, or import the log again with the rig's names"
+        )

@@ -47,6 +47,11 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
     return sentences + _copies(measurements)
 
 
+def unchecked(measurements: Sequence[Measurement]) -> tuple[str, ...]:
+    """Rollouts whose joints tell nothing of their commands, so that no clock, wiring or unit can be checked by them."""
+    return tuple(m.rollout_id for m in measurements if not Following(m).told)
+
+
 def _copies(measurements: Sequence[Measurement]) -> list[str]:
     """Recordings that agree with another to the last bit."""
     first: dict[bytes, str] = {}

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tcbi_infer.compare.comparison import error_figure
-from tcbi_infer.compare.ladder import seen_by
+from tcbi_infer.compare.ladder import seen_by, was_seen
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.scorer import diverged
 from tcbi_infer.seen import used_before
 from tcbi_infer.worker_process import finite
 from tcbi_sim.measurement import Measurement
@@ -44,11 +45,12 @@ def history(models: Sequence[Model], measurements: Sequence[Measurement] = ()) -
     they began with, unless one of those had been fitted to the same rollouts.
     """
     seen = {r for m in models for r in used_before(m)}
-    unseen = [m for m in measurements if m.rollout_id not in seen]
+    unseen = [m for m in measurements if not was_seen(m, seen)]
     if not unseen:
         return [VersionError(m.version, m.parent, m.effects, _kept(m, models)) for m in models]
-    names = tuple(m.rollout_id for m in unseen)
-    floor = _floor(models[0], unseen)
+    replay = Replay.of(models[0], unseen)
+    names = tuple(m.rollout_id for m in replay.measurements)
+    floor = _floor(models, replay)
     return [
         VersionError(m.version, m.parent, m.effects, error_figure(m, unseen, floor=floor), names, floor.from_replicates)
         for m in models
@@ -77,10 +79,15 @@ def remember(lines: Sequence[VersionError], folder: Path, rig: str, not_counted:
     return path
 
 
-def _floor(model: Model, measurements: Sequence[Measurement]) -> NoiseFloor:
-    replay = Replay.of(model, measurements)
-    predicted = replay.by_rollout(replay.predict(model, model.mean()[None])[0])
-    return replay.noise_floor(replay.measured - predicted)
+def _floor(models: Sequence[Model], replay: Replay) -> NoiseFloor:
+    """From repeats, else from the residual of the first version that predicts every rollout."""
+    residual = replay.measured
+    for model in models:
+        predicted = replay.by_rollout(replay.predict(model, model.mean()[None])[0])
+        residual = replay.measured - predicted
+        if not diverged(replay.layout, replay.measured, predicted).any():
+            break
+    return replay.noise_floor(residual)
 
 
 def _kept(model: Model, models: Sequence[Model]) -> float | None:

@@ -1,7 +1,8 @@
 """The error ladder: noise floor, base model, each added effect, and what remains unexplained."""
 
 import dataclasses
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -9,6 +10,8 @@ from tcbi_infer.compare.comparison import Comparison, error_figure
 from tcbi_infer.seen import used_before
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
+
+PIECE = re.compile(r"-\d{2,}$")  # what the id of a piece has behind that of its recording
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +42,12 @@ def seen_by(model: Model, models: Sequence[Model]) -> set[str]:
     return {r for m in lineage(model, models) for r in used_before(m)}
 
 
+def was_seen(m: Measurement, seen: Collection[str]) -> bool:
+    """Whether a rollout is among those seen, or is a piece of one that was seen whole."""
+    piece = m.scenario.initial_joint_velocity is not None
+    return m.rollout_id in seen or (piece and PIECE.sub("", m.rollout_id) in seen)
+
+
 def ladder(
     comparison: Comparison, line: Sequence[Model], measurements: Sequence[Measurement], *, timestep: float = 0.002
 ) -> tuple[Rung, ...]:
@@ -57,7 +66,8 @@ def ladder(
             if model.version == comparison.model
             else error_figure(model, measurements, timestep=timestep, floor=comparison.floor)
         )
-        fitted = bool(seen_by(model, line) & set(comparison.rollouts))
+        seen = seen_by(model, line)
+        fitted = any(was_seen(m, seen) for m in comparison.replay.measurements)
         rungs.append(Rung(model.version, label(model, before), error, fitted))
     return tuple(rungs)
 

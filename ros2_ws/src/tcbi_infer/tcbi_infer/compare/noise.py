@@ -17,11 +17,15 @@ class NoiseFloor:
       values: (C,) in the channels' units, never below the channel's resolution.
       from_replicates: else estimated from fast changes of the residual, which misses slow differences.
       estimated: indices of channels without repeats of their own, though others have some.
+      repeated: motions whose repeats show it.
+      motions: of these rollouts, repeated or not.
     """
 
     values: np.ndarray
     from_replicates: bool
     estimated: tuple[int, ...] = ()
+    repeated: int = 0
+    motions: int = 0
 
     def replicated(self, channel: int) -> bool:
         """Whether a channel's floor comes from repeats."""
@@ -31,7 +35,11 @@ class NoiseFloor:
     def statement(self) -> str:
         """Where the floor comes from, in a sentence."""
         if self.from_replicates:
-            return "The noise floor is what the robot differed from itself when it repeated the same commands."
+            text = "The noise floor is what the robot differed from itself when it repeated the same commands."
+            if self.repeated < self.motions:
+                were, their = ("was", "its") if self.repeated == 1 else ("were", "their")
+                text += f" {self.repeated} of {self.motions} motions {were} repeated; {their} scatter stands for all."
+            return text
         return (
             "No two recordings of the same commands differ, so the noise floor is estimated from fast changes of the "
             "residual; slow differences between runs are missed, and the ratios may look too large. Recording each "
@@ -56,11 +64,12 @@ def noise_floor(
       readings: (R, T) bool, samples at which a rollout has readings of its own; all of them by default.
     """
     squares, freedom = np.zeros(measured.shape[-1]), np.zeros(measured.shape[-1])
-    kept = layout.kept(measured.shape[1])
+    kept, repeated = layout.kept(measured.shape[1]), 0
     for group in replicates:
         square, free = scatter(np.where(kept, distinct(measured[list(group.members)]), np.nan))
         squares += square.sum(axis=0)
         freedom += free.sum(axis=0)
+        repeated += bool(free.any())
     fallback = np.empty(len(layout.channels))
     for kind in {c.group for c in layout.channels}:
         index = layout.where(kind)
@@ -69,7 +78,8 @@ def noise_floor(
     if not known.any():
         return NoiseFloor(np.fmax(fallback, layout.floor()), False)
     values = np.where(known, np.sqrt(squares / np.maximum(freedom, 1)), fallback)
-    return NoiseFloor(np.fmax(values, layout.floor()), True, tuple(int(i) for i in np.nonzero(~known)[0]))
+    estimated = tuple(int(i) for i in np.nonzero(~known)[0])
+    return NoiseFloor(np.fmax(values, layout.floor()), True, estimated, repeated, len(replicates))
 
 
 def mean_of(repeats: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from tcbi_infer.compare.clocks import aligned
-from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
+from tcbi_infer.compare.errors import NothingToCompareError, WrongJointsError, WrongRigError
 from tcbi_infer.compare.lengths import extended, side_by_side
 from tcbi_infer.compare.noise import NoiseFloor, mean_of, noise_floor
 from tcbi_infer.compare.replicates import Replicates, find_replicates
@@ -56,14 +56,17 @@ class Replay:
         Raises:
           NothingToCompareError: there are no usable rollouts.
           WrongRigError: a rollout is of another robot.
+          WrongJointsError: a rollout has other joints than its rig.
         """
         usable = [m for m in measurements if not _useless(m)]
         if not usable:
             raise NothingToCompareError({m.rollout_id: _useless(m) for m in measurements})
         rig = load_rig(model.rig)
         for m in usable:
-            if m.rig != model.rig or m.joint_names != rig.joint_names:
+            if m.rig != model.rig:
                 raise WrongRigError(model.version, model.rig, m.rig, m.joint_names)
+            if m.joint_names != rig.joint_names:
+                raise WrongJointsError(m.rig, rig.joint_names, m.joint_names)
         usable = list(aligned(usable).measurements)
         rate = rate or rig.rate
         layout = Layout.of(usable, rate)

@@ -12,8 +12,11 @@ from typing import Any
 import numpy as np
 
 from tcbi_sim.measurement import Commands, Measurement, Scenario
+from tcbi_sim.rigs import load_rig, rig_names
 
 SAME_TARGET = 2e-3  # rad
+SAME_TORQUE = 0.01  # of the torques' spread: motors differ far in what they can give
+SAME_SPEED = 0.05  # rad/s; a start in motion is measured no better
 SAME_TIME = 0.1  # s, jitter of a live command stream; half a control period
 SAME_SHAPE = 0.1  # of a motion's spread
 MIN_KINDS = 5  # fewer kinds than this give no 5 % claim
@@ -50,27 +53,46 @@ def same_scenario(a: Scenario, b: Scenario) -> bool:
     """Whether two rollouts took place in the same surroundings, from the same start."""
     start: dict[str, Any] = {"initial_joint_position": None, "initial_joint_velocity": None}
     plain = [dataclasses.replace(s, seed=0, duration=0.0, **start) for s in (a, b)]
-    starts = [np.zeros(1) if s.initial_joint_position is None else np.array(s.initial_joint_position) for s in (a, b)]
-    return plain[0] == plain[1] and bool(np.all(np.abs(starts[0] - starts[1]) < SAME_TARGET))
-
-
-def same_commands(a: Commands, b: Commands) -> bool:
-    """Whether two command streams are the same up to the jitter of a live stream."""
     return (
-        a.target.shape == b.target.shape
-        and abs(a.ramp - b.ramp) < 1e-6
-        and bool(np.all(np.abs(a.target - b.target) < SAME_TARGET))
-        and bool(np.all(np.abs(a.time - b.time) < SAME_TIME))
+        plain[0] == plain[1]
+        and _near(a.initial_joint_position, b.initial_joint_position, SAME_TARGET)
+        and _near(a.initial_joint_velocity, b.initial_joint_velocity, SAME_SPEED)
     )
+
+
+def _near(a: tuple[float, ...] | None, b: tuple[float, ...] | None, most: float) -> bool:
+    """Whether two starts are the same; None is zero everywhere."""
+    first, second = (np.zeros(1) if start is None else np.array(start) for start in (a, b))
+    return bool(np.all(np.abs(first - second) < most))
+
+
+def by_torque(m: Measurement) -> bool:
+    """Whether the commands are torques, which no joint position follows."""
+    return m.rig in rig_names() and load_rig(m.rig).kind == "torque"
+
+
+def same_commands(a: Commands, b: Commands, torque: bool = False) -> bool:
+    """Whether two command streams are the same up to the jitter of a live stream.
+
+    Args:
+      a: one stream.
+      b: the other one.
+      torque: their targets are N m, else rad.
+    """
+    if a.target.shape != b.target.shape or abs(a.ramp - b.ramp) >= 1e-6:
+        return False
+    most = SAME_TORQUE * float(np.std(a.target)) if torque else SAME_TARGET
+    return bool(np.all(np.abs(a.target - b.target) <= most)) and bool(np.all(np.abs(a.time - b.time) < SAME_TIME))
 
 
 def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
     """Groups rollouts into replicate sets, in the order of their first member."""
     groups: list[list[int]] = []
     for i, m in enumerate(measurements):
+        torque = by_torque(m)
         for group in groups:
             first = measurements[group[0]]
-            if same_scenario(first.scenario, m.scenario) and same_commands(first.commands, m.commands):
+            if same_scenario(first.scenario, m.scenario) and same_commands(first.commands, m.commands, torque):
                 group.append(i)
                 break
         else:
@@ -112,7 +134,7 @@ def _kinds_by_shape(measurements: Sequence[Measurement], groups: Sequence[Sequen
         m = measurements[group[0]]
         for k, first in enumerate(firsts):
             pieces = _is_piece(first) and _is_piece(m)
-            same = first.policy_id == m.policy_id if pieces else same_motion(first.commands, m.commands)
+            same = first.policy_id == m.policy_id if pieces else same_motion(first.commands, m.commands, by_torque(m))
             if same:
                 kinds.append(k)
                 break
@@ -126,17 +148,24 @@ def _is_piece(m: Measurement) -> bool:
     return m.scenario.initial_joint_velocity is not None and bool(m.policy_id)
 
 
-def same_motion(a: Commands, b: Commands, rate: float = 50.0) -> bool:
-    """Whether two command streams ask for nearly the same motion, however they were sampled."""
+def same_motion(a: Commands, b: Commands, torque: bool = False, rate: float = 50.0) -> bool:
+    """Whether two command streams ask for nearly the same motion, however they were sampled.
+
+    Args:
+      a: one stream.
+      b: the other one.
+      torque: their targets are N m, else rad.
+      rate: Hz at which they are compared.
+    """
     if not len(a.time) or not len(b.time) or a.target.shape[1] != b.target.shape[1]:
         return False
     end = min(a.time[-1], b.time[-1])
     if max(a.time[-1], b.time[-1]) > 1.2 * end + 0.5:
         return False
-    grid = np.arange(0.0, end, 1.0 / rate)
+    grid = np.arange(0.0, max(end, 1.0 / rate), 1.0 / rate)
     first, second = (_held(c, grid) for c in (a, b))
-    spread = max(float(np.std(first)), SAME_TARGET)
-    return bool(np.sqrt(np.mean((first - second) ** 2)) < SAME_SHAPE * spread)
+    spread = max(float(np.std(first)), 0.0 if torque else SAME_TARGET)
+    return bool(np.sqrt(np.mean((first - second) ** 2)) <= SAME_SHAPE * spread)
 
 
 def _held(commands: Commands, grid: np.ndarray) -> np.ndarray:

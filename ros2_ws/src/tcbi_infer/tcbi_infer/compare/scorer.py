@@ -77,7 +77,7 @@ class Scorer:
                 t, c = np.nonzero(self.kept[r])
                 self.score[r, t, c] = crps(self.replay.measured[r, t, c], draws[:, t, c], self.floor.values[c])
         values, owners = task.predicted(self.replay, rollouts, sets)
-        for name in self.floors:
+        for name in [name for name in self.floors if name in values]:
             self._take_task(name, values[name], owners)
 
     def _take_task(self, name: str, values: np.ndarray, owners: np.ndarray) -> None:
@@ -101,15 +101,16 @@ class Scorer:
         if self.lost.any():
             found.append(
                 "The simulation at the model's mean parameters diverged in "
-                f"{_of(np.flatnonzero(self.lost), names)}: the error counts as infinite there, and nothing that is "
-                "told of places and moments comes from there."
+                f"{in_words(np.flatnonzero(self.lost), names)}: the error counts as infinite there, and nothing that "
+                "is told of places and moments comes from there."
             )
         failed = np.array([self.failed[s] for s in sorted(self.failed)])  # (S, N)
         if failed.any() and not (failed.shape[1] == 1 and self.lost.any()):
             where = [r for s in np.flatnonzero(failed.any(axis=1)) for r in self.replay.replicates[s].members]
             found.append(
-                f"{failed.any(axis=0).sum()} of {failed.shape[1]} particles diverged in {_of(sorted(where), names)}: "
-                "the bands, their coverage and the CRPS leave them out there, and look better than they are."
+                f"{failed.any(axis=0).sum()} of {failed.shape[1]} particles diverged in "
+                f"{in_words(sorted(where), names)}: the bands, their coverage and the CRPS leave them out there, and "
+                "look better than they are."
             )
         return found
 
@@ -195,7 +196,7 @@ def _mean(values: np.ndarray) -> float:
     return float(there.mean()) if len(there) else float("nan")
 
 
-def _of(which: Sequence[int] | np.ndarray, names: Sequence[str]) -> str:
+def in_words(which: Sequence[int] | np.ndarray, names: Sequence[str]) -> str:
     """Rollouts in words: how many of how many, and the first ones by name."""
     more = f" and {len(which) - NAMED} more" if len(which) > NAMED else ""
     return f"{len(which)} of {len(names)} rollouts ({', '.join(names[r] for r in which[:NAMED])}{more})"

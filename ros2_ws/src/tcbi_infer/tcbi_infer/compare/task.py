@@ -13,6 +13,7 @@ from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.compare.noise import from_fast_changes, scatter
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
+from tcbi_infer.gaps import unusable
 from tcbi_policy.errors import RewardError
 from tcbi_policy.reward import inclination, progress, step_rewards
 from tcbi_sim.engine import SimulatedRollouts
@@ -47,7 +48,7 @@ def measured(replay: Replay) -> Values:
     each = []
     for r, m in enumerate(replay.measurements):
         values = _values(replay, r, m.commands, m.attitude, m.contact, m.position)
-        if "distance_end" not in values and np.isfinite(m.distance) and compared(replay)[r, -1]:
+        if m.position is None and np.isfinite(m.distance) and compared(replay)[r, -1]:
             values["distance_end"] = np.array([m.distance])  # the operator's entry
         each.append(values)
     return _stacked(replay, each)
@@ -87,25 +88,35 @@ def _values(
     contact: np.ndarray | None,
     position: np.ndarray | None,
 ) -> Values:
-    """Signals and statistics of one rollout; arrays are (..., T, width), results (..., K)."""
-    scenario, good = replay.measurements[r].scenario, compared(replay)[r]
+    """Signals and statistics of one rollout; arrays are (..., T, width), results (..., K).
+
+    What the gaps of a signal leave out is left out of a prediction too. A distance counts from the first sample, so
+    that without it there is none.
+    """
+    m, good = replay.measurements[r], compared(replay)[r]
     if not good.any():
         return {}
+    scenario = m.scenario
     first, last = (int(np.nonzero(good)[0][i]) for i in (0, -1))
+    gaps = unusable(m, replay.time).signals
+    there = {name: good & ~gaps[name] if name in gaps else good for name in ("attitude", "contact", "position")}
+    whole = {name: bool(seen[first : last + 1].all()) for name, seen in there.items()}
     values: Values = {}
-    if position is not None:
+    if position is not None and there["position"][first]:
         moved = progress(position, scenario.initial_yaw)
-        values[DISTANCE] = np.where(good, moved, np.nan)
-        values["distance_end"] = moved[..., last : last + 1]
+        values[DISTANCE] = np.where(there["position"], moved, np.nan)
+        values["distance_end"] = values[DISTANCE][..., last : last + 1]
     if attitude is not None:
-        values["final_inclination"] = np.degrees(inclination(attitude[..., last : last + 1, :]))
-        reward = _rewards(replay.time[: last + 1], scenario, commands, attitude, position)
-        if reward is not None and good[first : last + 1].all():
+        end = np.where(there["attitude"][last], inclination(attitude[..., last : last + 1, :]), np.nan)
+        values["final_inclination"] = np.degrees(end)
+        way = position if whole["position"] else None
+        reward = _rewards(replay.time[: last + 1], scenario, commands, attitude, way)
+        if reward is not None and whole["attitude"]:
             values[REWARD], values["return"] = reward, np.nansum(reward, axis=-1, keepdims=True)
-    if contact is not None:
-        share = np.where(good[:, None], contact, np.nan)
+    if contact is not None and there["contact"].any():
+        share = np.where(there["contact"][:, None], contact, np.nan)
         ratio = np.nanmean(share, axis=-2)
-        for f, foot in enumerate(replay.measurements[r].foot_names):
+        for f, foot in enumerate(m.foot_names):
             values[f"contact_ratio_{foot}"] = ratio[..., f, None]
     return values
 

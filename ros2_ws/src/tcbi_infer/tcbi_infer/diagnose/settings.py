@@ -13,8 +13,8 @@ class Settings:
     escape: bool = True  # the base model's fit and the best candidate's look for other valleys of the loss
     rivals: bool = True  # effects that the screening did not rank are tried in the best one's place
     least_share: float | None = None  # of the best candidate's gain in screening, that a full fit takes; None: any
-    timestep: float = 0.002  # s, of the final fits
-    coarse: float = 0.005  # s, of the screening and of first fits
+    timestep: float = 0.002  # s at most, of the final fits
+    coarse: float = 0.005  # s at most, of the screening and of first fits
     seed: int = 0
     likeness: float = 0.97  # cosine above which two candidates' signatures count as the same
     per_joint: bool = True  # try effects at every single joint

@@ -8,7 +8,7 @@ from tcbi_infer.compare.comparison import Comparison
 from tcbi_infer.compare.findings import Finding, Moment
 from tcbi_infer.compare.ladder import Rung, explained
 from tcbi_infer.compare.maps import curves, heat, joint_errors
-from tcbi_infer.compare.scorer import SignalError
+from tcbi_infer.compare.scorer import SignalError, in_words
 from tcbi_infer.compare.worst import MOMENTS
 from tcbi_infer.report import plots
 from tcbi_infer.report.body import body_figures
@@ -42,8 +42,7 @@ def add_comparison(
         f"rollout{'s' if len(c.rollouts) != 1 else ''}."
     )
     tone = "good" if c.error_over_floor < 1.5 else "warn"
-    sound = [] if c.guards else ["Clocks, rates, wiring and units of the recording were checked: nothing was found."]
-    text = [c.floor.statement, *sound]
+    text = [c.floor.statement, *_checked(c)]
     report.add(Section("Prediction against measurement", verdict=headline, tone=tone, text=text))
     if rungs:
         mark = "\n(fitted to some of these)"
@@ -67,6 +66,22 @@ def add_comparison(
     report.add(_figures_of("Every signal", c.signals, folded=True))
 
 
+def _checked(c: Comparison) -> list[str]:
+    """What of the recording was checked without a finding, and what could not be checked."""
+    sentences = []
+    none = len(c.unchecked) == len(c.rollouts)
+    if not c.guards:
+        what = "Stamps and rates" if none else "Clocks, rates, wiring and units"
+        sentences.append(f"{what} of the recording were checked: nothing was found.")
+    if c.unchecked:
+        where = "" if none else f" in {in_words([c.rollouts.index(r) for r in c.unchecked], c.rollouts)}"
+        sentences.append(
+            f"Clocks, wiring and units{where} could not be checked: the commands are torques, the joints hardly move, "
+            "or there are too few samples."
+        )
+    return sentences
+
+
 def _add_places(report: Report, c: Comparison, after: Comparison | None) -> None:
     """Sentences, the drawing, the map of joints and phases, the plot of each sentence, what the error grows with."""
     attitude = [s.ratio for s in c.signals if s.name in ("roll", "pitch")]
@@ -86,7 +101,9 @@ def _add_places(report: Report, c: Comparison, after: Comparison | None) -> None
     for number, finding in enumerate(c.where, 1):
         if finding.moment is not None:
             figures.append(_shown(c, after, finding, finding.moment, number))
-    sentences = [f.statement for f in c.where] or ["Nowhere more than elsewhere."]
+    predicted = np.isfinite(c.replay.measured - c.predicted).any()
+    nowhere = "Nowhere more than elsewhere." if predicted else "Not told: the prediction diverged in every rollout."
+    sentences = [f.statement for f in c.where] or [nowhere]
     report.add(Section("Where the error lives", notes=sentences, ordered=True, figures=figures))
     drawn = curves(c)
     if drawn:

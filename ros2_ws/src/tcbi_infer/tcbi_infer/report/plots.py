@@ -220,8 +220,16 @@ def versions(name: str, unit: str, before: Interval, after: Interval, labels: tu
 def history(
     labels: Sequence[str], parents: Sequence[str], errors: Sequence[float], repeated: bool | None = None
 ) -> str:
-    """The error of each model version, joined with its parent's, and the noise floor; `repeated` as for the ladder."""
+    """The error of each model version, joined with its parent's, and the noise floor.
+
+    Args:
+      labels: of the versions.
+      parents: label of each version's parent.
+      errors: over the noise floor; NaN where nothing was measured, infinite where the prediction diverged.
+      repeated: as for the ladder.
+    """
     at = {label: i for i, label in enumerate(labels)}
+    top = max(1.2 * max((e for e in errors if np.isfinite(e)), default=1.0), 1.3)
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(2.8, WIDE)
         axes.plot(np.arange(len(labels)), errors, "o", color=BLUE)
@@ -240,7 +248,9 @@ def history(
         for x, error in enumerate(errors):
             if np.isfinite(error):
                 axes.annotate(_times(error), (x, error), xytext=(0, 7), textcoords="offset points", ha="center")
+            elif np.isinf(error):
+                axes.annotate("diverged", (x, top), ha="center", va="top")
         axes.set_xticks(np.arange(len(labels)), labels)
-        axes.set_ylim(0, max(float(np.nanmax([*errors, 1.0])) * 1.2, 1.3))
+        axes.set_ylim(0, top)
         axes.set_ylabel("error / noise floor")
         return to_svg(figure)

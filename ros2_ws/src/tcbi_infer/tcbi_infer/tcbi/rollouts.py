@@ -19,6 +19,7 @@ ENOUGH = 8  # rollouts, below which rollouts are cut into blocks so that their s
 LEAST_SAMPLES = 20
 NOISIER = 3.0  # times the rig's noise: recordings as noisy as that are believed to be so
 FINE_S = 0.02  # a gap is longer
+MOST_SILENT = 0.05  # of a rollout
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
         warnings.append(f"{_some(short)} left out: fewer than {LEAST_SAMPLES} samples, or no command")
     torn = {m.rollout_id for m in usable if _torn(m)}
     if torn:
-        warnings.append(f"{_some(sorted(torn))} left out: samples or commands are missing in the middle")
+        warnings.append(f"{_some(sorted(torn))} left out: samples, commands or a signal are missing in part")
         usable = [m for m in usable if m.rollout_id not in torn]
     distinct = list({m.rollout_id: m for m in usable}.values())
     if len(distinct) < len(usable):
@@ -76,8 +77,9 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
 
 
 def _torn(m: Measurement) -> bool:
-    """Whether samples or commands are missing in it."""
-    return bool(unusable(m, np.arange(m.time[0], m.time[-1], FINE_S)).samples.any())
+    """Whether samples or commands are missing in it, or a signal for more than `MOST_SILENT` of it."""
+    found = unusable(m, np.arange(m.time[0], m.time[-1], FINE_S))
+    return bool(found.samples.any()) or any(lost.mean() > MOST_SILENT for lost in found.signals.values())
 
 
 def _identical(measurements: Sequence[Measurement]) -> bool:

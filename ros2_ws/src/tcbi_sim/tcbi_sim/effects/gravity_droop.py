@@ -1,6 +1,6 @@
 """A servo that gives way under the weight that it carries."""
 
-from tcbi_sim.effect import Effect, Values, each_joint, position_servos
+from tcbi_sim.effect import Effect, Values, each_joint, lacks, position_servos
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
@@ -11,11 +11,6 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
     servo = fields.actuators((site,))
     stiffness = fields.model["actuator_gainprm"][:, servo, 0]
     scale_servo(fields, servo, 1 / (1 + stiffness * values["compliance"][:, None]))
-
-
-def requires(rig: Rig) -> str:
-    has_gain = any(p.name == "gain" for p in rig.parameters)
-    return position_servos(rig) or ("its own model already has it (parameter gain)" if has_gain else "")
 
 
 EFFECT = Effect(
@@ -32,5 +27,5 @@ EFFECT = Effect(
     ),
     apply=apply,
     sites=each_joint,
-    requires=requires,
+    requires=lambda rig: position_servos(rig) or lacks("gain")(rig),
 )

@@ -1,6 +1,6 @@
 """The rotor's inertia, seen through the gears."""
 
-from tcbi_sim.effect import Effect, Values
+from tcbi_sim.effect import Effect, Values, lacks
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
@@ -21,4 +21,5 @@ EFFECT = Effect(
         Parameter("inertia", "kg m^2", 0.0, 0.02, 0.003, null=0.0, description="added to each joint's armature"),
     ),
     apply=apply,
+    requires=lacks("armature"),
 )

@@ -1,4 +1,4 @@
-"""A part of the ground with another grip."""
+"""A part of the ground with another grip: two boxes that meet at a line and are level with the ground as it was."""
 
 import mujoco
 import numpy as np
@@ -8,37 +8,40 @@ from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
 
-PATCH = "slippery_ground"
-HALF = 3.0  # m, half the edge of the patch: farther than a rollout goes
-THICKNESS = 5e-4  # m that the patch stands above the ground, so that feet on it touch nothing else
+PATCH, REST = "slippery_ground", "ground_beyond"
+HALF = 3.0  # m, half the edge of both: farther than a rollout goes
+DEPTH = 2e-3  # m that the old ground lies below them, out of the reach of feet that sink in
 
 
 def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
     ground = spec.geom("ground")
-    spec.body("ground").add_geom(
-        name=PATCH,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[HALF, HALF, 0.01],
-        pos=[HALF, 0, THICKNESS - 0.01],
-        rgba=[0.55, 0.7, 0.85, 0.6],
-        contype=ground.contype,
-        conaffinity=ground.conaffinity,
-        condim=ground.condim,
-        friction=ground.friction,
-        priority=ground.priority,
-        solref=ground.solref,
-        solimp=ground.solimp,
-    )
+    ground.pos = [0, 0, -DEPTH]
+    for name, color in ((PATCH, [0.55, 0.7, 0.85, 0.6]), (REST, [0, 0, 0, 0])):
+        spec.body("ground").add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[HALF, HALF, 0.01],
+            pos=[0, 0, -0.01],
+            rgba=color,
+            contype=ground.contype,
+            conaffinity=ground.conaffinity,
+            condim=ground.condim,
+            friction=ground.friction,
+            priority=ground.priority,
+            solref=ground.solref,
+            solimp=ground.solimp,
+        )
 
 
 def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
-    patch, ground = fields.geom(PATCH), fields.geom("ground")
-    fields.model["geom_friction"][:, patch, 0] = fields.model["geom_friction"][:, ground, 0] * values["grip"]
-    heading, begin = values["heading"], values["begin"] + HALF
-    place = fields.model["geom_pos"]
-    place[:, patch, 0], place[:, patch, 1] = begin * np.cos(heading), begin * np.sin(heading)
-    zero = np.zeros_like(heading)
-    fields.model["geom_quat"][:, patch] = np.stack([np.cos(heading / 2), zero, zero, np.sin(heading / 2)], axis=-1)
+    patch, rest = fields.geom(PATCH), fields.geom(REST)
+    friction, place, turned = (fields.model[f"geom_{name}"] for name in ("friction", "pos", "quat"))
+    friction[:, rest, 0] = friction[:, fields.geom("ground"), 0]
+    friction[:, patch, 0] = friction[:, rest, 0] * values["grip"]
+    heading = values["heading"]
+    for geom, middle in ((patch, values["begin"] + HALF), (rest, values["begin"] - HALF)):
+        place[:, geom, 0], place[:, geom, 1] = middle * np.cos(heading), middle * np.sin(heading)
+        turned[:, geom, 0], turned[:, geom, 3] = np.cos(heading / 2), np.sin(heading / 2)
 
 
 EFFECT = Effect(
@@ -50,7 +53,7 @@ EFFECT = Effect(
     ),
     source=(
         "Popov, Contact Mechanics and Friction, 2nd edition (2017), chapter 10 (Coulomb's law); MuJoCo: geom/friction "
-        "of a flat box on the ground"
+        "of two flat boxes in place of the ground"
     ),
     parameters=(
         Parameter(

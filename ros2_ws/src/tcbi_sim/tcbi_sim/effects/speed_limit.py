@@ -1,6 +1,6 @@
 """Motors whose torque is used up at speed."""
 
-from tcbi_sim.effect import Effect, Values, lacks, position_servos
+from tcbi_sim.effect import Effect, Values, lacks, position_servos, torque_limited
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
@@ -32,5 +32,5 @@ EFFECT = Effect(
         ),
     ),
     apply=apply,
-    requires=lambda rig: position_servos(rig) or lacks("back_emf")(rig),
+    requires=lambda rig: position_servos(rig) or torque_limited(rig) or lacks("back_emf")(rig),
 )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tcbi_sim.effect import Effect, Values, lacks
+from tcbi_sim.effect import Effect, Values, lacks, torque_limited
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
@@ -25,5 +25,5 @@ EFFECT = Effect(
         Parameter("share", "1", 0.1, 1.0, 0.6, null=1.0, scale="log", description="of the torque limit that is left"),
     ),
     apply=apply,
-    requires=lacks("stall_torque"),
+    requires=lambda rig: torque_limited(rig) or lacks("torque_limit")(rig),
 )

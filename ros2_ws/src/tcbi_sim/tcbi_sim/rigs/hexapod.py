@@ -75,6 +75,8 @@ def hexapod_rig() -> Rig:
             noise["position"],
             2 * math.pi / d["servo"]["encoder_steps"],
         ),
+        own_quantities=frozenset({"gain"}),
+        has_torque_limit=True,
         floating=True,
         has_imu=True,
         joint_range=d["joint"]["range"],

@@ -46,6 +46,8 @@ def servo_bench_rig() -> Rig:
         build=build,
         apply=apply,
         noise=Noise(joint_position=0.0005, encoder_step=2 * np.pi / 4096),
+        own_quantities=frozenset({"gain", "damping", "friction"}),
+        has_torque_limit=True,
         joint_range=np.pi,
         rate=100.0,
         groups={"servo": (JOINT,)},
@@ -64,7 +66,13 @@ def motor_bench_rig() -> Rig:
             "back_emf", "N m s/rad", 3e-3, 0.08, BACK_EMF, scale="log", description="torque lost to speed under power"
         ),
     )
-    return dataclasses.replace(bench, name="motor_bench", parameters=bench.parameters + motor, apply=apply_motor)
+    return dataclasses.replace(
+        bench,
+        name="motor_bench",
+        parameters=bench.parameters + motor,
+        own_quantities=bench.own_quantities | {"torque_limit", "back_emf"},
+        apply=apply_motor,
+    )
 
 
 def build(blocks: int = 0) -> mujoco.MjSpec:

@@ -1,0 +1,50 @@
+"""`./tcbi import`: all logs become bags, or none does."""
+
+from pathlib import Path
+
+import pytest
+
+from tcbi_bringup import cli
+
+MAPPING = """
+rig = "servo_bench"
+joints = ["servo"]
+[time]
+column = "t"
+[position]
+column = "angle"
+"""
+
+
+def log(path: Path) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("t,angle\n" + "".join(f"{0.01 * k:.2f},{0.1 * k:.1f}\n" for k in range(20)))
+    return path
+
+
+@pytest.fixture
+def run(tmp_path, capsys):
+    def call(*logs: Path) -> tuple[int, str]:
+        mapping = tmp_path / "bench.toml"
+        mapping.write_text(MAPPING)
+        status = cli.main(["import", str(mapping), *map(str, logs), "--out", str(tmp_path / "bags")])
+        return status, capsys.readouterr().err
+
+    return call
+
+
+def test_logs_of_one_name_and_bags_that_are_there_are_all_told_before_anything_is_written(run, tmp_path):
+    fresh, old, other = (log(tmp_path / name) for name in ("a/fresh.csv", "a/old.csv", "a/other.csv"))
+    assert run(old, other)[0] == 0
+    status, told = run(fresh, old, other, log(tmp_path / "b/fresh.csv"))
+    assert status == 1
+    line = told.splitlines()[-1]
+    for words in ("bags/old exists already", "bags/other exists already", "2 rollouts are named 'fresh'"):
+        assert words in line
+    assert sorted(bag.name for bag in (tmp_path / "bags").iterdir()) == ["old", "other"]
+
+
+def test_a_name_that_no_bag_can_have_stops_the_others_too(run, tmp_path):
+    status, told = run(log(tmp_path / "a/fine.csv"), log(tmp_path / "a/.csv"))
+    assert status == 1 and "'' is no plain file name" in told
+    assert not (tmp_path / "bags").exists()
