@@ -413,7 +413,10 @@ def test_holms_correction_is_the_textbooks() -> None:
 
 
 @pytest.mark.slow
-def test_the_whole_experiment_runs_once_and_ends_in_tables_and_figures(tmp_path: Path) -> None:
+def test_the_whole_experiment_runs_once_and_ends_in_tables_and_figures(tmp_path: Path, monkeypatch) -> None:
+    usual = pieces_of_work.fine_tuning
+    small = {"environments": 16, "evaluations": 4}
+    monkeypatch.setattr(pieces_of_work, "fine_tuning", lambda config: dataclasses.replace(usual(config), **small))
     with Laboratory(1) as laboratory:
         experiment = Experiment(TINY, tmp_path, laboratory, threads=1)
         for piece in TINY.pieces():
@@ -436,7 +439,7 @@ def test_the_whole_experiment_runs_once_and_ends_in_tables_and_figures(tmp_path:
 SMALL = Plan(
     {"balance": TaskPlan("balance-early", 2, 10, 1, 160, 2, 1)},
     ((11, "strong"), (12, "strong")),
-    ("abc", "simopt", "tcbi_reward", WINNER, EFFECT),
+    ("simopt", WINNER, EFFECT),
     (0.05,),
     dataclasses.replace(
         demo.QUICK,

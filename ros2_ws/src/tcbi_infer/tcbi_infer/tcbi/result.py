@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from tcbi_infer.tcbi.method import Generation
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, quantiles, resample
@@ -168,7 +168,7 @@ def _variance_bound(unit: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Upper 95 % bound (P,) of the variance, as if the effective sample size were draws of a normal distribution."""
     size = max(effective_sample_size(weights), 2.0)
     _, variance = mean_and_variance(unit, weights)
-    return variance * size / chi2.ppf(0.05, size - 1)
+    return variance * size / (2.0 * gammaincinv((size - 1) / 2.0, 0.05))  # quantile of chi-squared
 
 
 def misfits(
