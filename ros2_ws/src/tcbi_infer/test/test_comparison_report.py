@@ -77,6 +77,12 @@ def text(comparison) -> list[str]:
     return section.text[1:]
 
 
+def test_a_version_that_was_added_though_its_motions_disagree_says_so():
+    told = "the motions disagree on weak_leg:lm.scale, 0.5 to 0.9"
+    doubtful = dataclasses.replace(SWING, evidence={"disagreements": [told]})
+    assert f"In the fit behind {SWING.version}: {told}" in compare(doubtful, swing(), particles=0).guards
+
+
 @pytest.mark.parametrize(("guards", "sound"), [((), True), (("Something is wrong.",), False)])
 def test_what_could_not_be_checked_of_a_recording_is_said(comparison, guards, sound):
     some, none = comparison.rollouts[:1], comparison.rollouts

@@ -133,6 +133,7 @@ def compare(
     findings = guard(measurements) + common_lag(replay.layout, replay.time, replay.measured, predicted, names)
     findings += _idle_parameters(model, replay, mean, floor.values)
     findings += scorer.divergences()
+    findings += [f"In the fit behind {model.version}: {told}" for told in model.evidence.get("disagreements", ())]
     where = locate(
         load_rig(model.rig), replay.layout, replay.measurements, replay.time, residual, predicted, floor.values
     )
