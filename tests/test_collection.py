@@ -16,6 +16,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
 
 from tcbi_bringup.arguments import Parser
 from tcbi_bringup.commands import collect
@@ -255,6 +256,32 @@ def test_a_rollout_whose_policy_came_too_late_begins_anew_but_not_for_ever(start
     assert "after the rollout had begun" in events[1].note
     assert ("after the rollout had begun" in events[-1].note) == (slow > 3) == ("too late" in result.message)
     assert [path.name for path in (tmp_path / "bags").iterdir() if path.is_dir()] == [events[-1].rollout_id]
+
+
+class MutePolicy(SlowPolicy):
+    """It stops at once when it is switched on, as where its sensors are silent for a moment; later it acts."""
+
+    def __init__(self, peer, mute: int) -> None:
+        super().__init__(peer, 0)
+        self.peer, self.mute = peer, mute
+        self.commands = peer.node.create_publisher(JointTrajectory, names.JOINT_COMMANDS, messages.STREAM_QOS)
+        peer.node.create_timer(0.1, self.act)
+
+    def act(self) -> None:
+        if self.switched_on > self.mute:
+            self.commands.publish(messages.joint_command(self.peer.node.get_clock().now().to_msg(), [0.0] * 18))
+
+
+@pytest.mark.parametrize("mute", [1, 9])
+def test_a_rollout_in_which_the_policy_never_acts_begins_anew_but_not_for_ever(start_graph, peer, tmp_path, mute):
+    start_graph(recorder(tmp_path / "bags", lockstep=False))
+    robot, policy = Robot(peer), MutePolicy(peer, mute)
+    status, result = Collection(peer, task="balance", number=1, duration_s=2.0).result()
+    assert (status == GoalStatus.STATUS_SUCCEEDED) == (mute == 1), result.message
+    assert policy.switched_on == robot.resets - 1
+    assert min(mute + 1, 3) <= policy.switched_on <= 3, "a busy machine may be late once more"
+    assert ("has sent no joint_commands" in result.message) == (mute > 1)
+    assert sum(path.is_dir() for path in (tmp_path / "bags").iterdir()) == 1, "only the last start is kept"
 
 
 class SlowRobot(Robot):

@@ -31,7 +31,7 @@ NO_POLICY = "none"
 GROUND_AS_IT_IS = "slopes that were not given count as level, and there are no blocks"
 CLOCK_APART_S = 30.0  # between a reset's stamp and this node's clock: more means that they are different clocks
 LEAD_NS = 300_000_000  # from the publication of BEGIN to its stamp, where time runs by itself
-STARTS = 3  # of a rollout whose policy was switched on too late on a busy machine; the last one is taken as it is
+STARTS = 3  # of a rollout whose policy came too late on a busy machine, or never; the last one is taken as it is
 STATUS_S = 3.0  # wall time for the policy node to say what is loaded
 FEEDBACK_S = 0.5  # wall time
 COMMAND_SILENCE_S = 1.0  # ROS time, five control periods
@@ -48,7 +48,9 @@ class CancelledError(TcbiError):
 
 
 class LateStartError(RecordingError):
-    """The policy was switched on when its first tick had passed: no repeat of this rollout would be like it."""
+    """The policy was switched on when its first tick had passed, so that no repeat would be like this rollout, or its
+    sensors were silent just then, so that it sent no command at all.
+    """
 
 
 class Until:
@@ -175,7 +177,7 @@ class Collector:
                 late = self._late(begin)
                 if late and not last:
                     raise LateStartError(late)
-            await self._act(goal, request, index, end)
+            await self._act(goal, request, index, end, last)
             return await self._end(goal, event, end, request, late)
         except LateStartError as error:
             self.node.recorder.discard()
@@ -185,7 +187,7 @@ class Collector:
             await self._abort(event, str(error), request)
             raise
 
-    async def _act(self, goal: Any, request: Request, index: int, end: int) -> None:
+    async def _act(self, goal: Any, request: Request, index: int, end: int, last: bool) -> None:
         """Wait for the end, policy off."""
         node = self.node
         told = 0.0
@@ -202,7 +204,7 @@ class Collector:
                 )
             if request.policy != NO_POLICY:
                 node.fetch()  # simulated time may have run on for long since the last time
-                self._require_commands()
+                self._require_commands(last)
             if time.monotonic() - told > FEEDBACK_S:
                 told = time.monotonic()
                 self._tell(goal, index, request.number, left)
@@ -257,11 +259,12 @@ class Collector:
         if self.node.recorder.rollout is None:
             raise RecordingError(self.node.fault or "the rollout is no longer recorded")
 
-    def _require_commands(self) -> None:
+    def _require_commands(self, last: bool) -> None:
         """A policy that has stopped leaves the robot limp: what comes then is no rollout of it."""
         silent = 1e-9 * (self.node.get_clock().now().nanoseconds - self.node.commanded_ns)
         if silent > COMMAND_SILENCE_S:
-            raise RecordingError(
+            never = not self.node.commanded and not last
+            raise (LateStartError if never else RecordingError)(
                 f"the policy has sent no {names.JOINT_COMMANDS} for {silent:.1f} s and the robot is limp; the log of "
                 "policy_node says why"
             )

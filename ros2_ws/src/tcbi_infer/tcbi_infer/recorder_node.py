@@ -91,6 +91,7 @@ class RecorderNode(Node):
         self.lost = 0  # messages that the middleware dropped
         self.heard_joints_s = 0.0  # wall time
         self.commanded_ns = 0  # stamp of the last command; where the rollout has none yet, its begin
+        self.commanded = False  # whether the rollout has one
         self.bags: list[Path] = []
         self.poses: list[bytes] = []  # first and newest of the present rollout
         self.distance: float | None = None  # the operator's entry
@@ -154,6 +155,7 @@ class RecorderNode(Node):
         if topic.endswith(names.JOINT_STATES):
             self.heard_joints_s = time.monotonic()
         if topic.endswith(names.JOINT_COMMANDS):
+            self.commanded = self.commanded or stamp >= self.commanded_ns
             self.commanded_ns = max(self.commanded_ns, stamp)
         rollout = self.recorder.rollout
         if topic.endswith(names.TRACKER_POSE) and self._within(rollout, stamp):
@@ -208,7 +210,7 @@ class RecorderNode(Node):
 
     def open(self, folder: RecordingFolder, rollout_id: str, begin: int, data: bytes, end: int | None = None) -> None:
         """Begin a bag; a failure is said and shown in diagnostics."""
-        self.distance, self._foreign_end, self.commanded_ns = None, None, begin
+        self.distance, self._foreign_end, self.commanded_ns, self.commanded = None, None, begin, False
         last = self._newest.get(self.resolve_topic_name(names.TRACKER_POSE), b"")
         self.poses = [last] if (stamp_of(last) or 0) >= begin else []  # a simulation that waits has shown its start
         try:
