@@ -26,9 +26,11 @@ from pathlib import Path
 
 from figures import figures
 from jobs import Case, Result, run
+from truths import POLICIES
 
 from tcbi_infer.tcbi.method import METHODS
 
+SOURCES = ("model", "robot", "hidden")
 QUICK = {
     "methods": "calibrated,prior",
     "truths": "0:2",
@@ -41,7 +43,14 @@ QUICK = {
 
 def cases(options: argparse.Namespace) -> list[Case]:
     """All that is asked for, truth by truth, so that each is recorded once."""
-    first, end = (int(n) for n in options.truths.split(":"))
+    truths = re.fullmatch(r"(\d+):(\d+)", options.truths)
+    if truths is None:
+        raise SystemExit(f"--truths {options.truths}: allowed is FIRST:END, such as 0:100")
+    first, end = int(truths[1]), int(truths[2])
+    for option, given, allowed in (("source", options.source, SOURCES), ("task", options.task, tuple(POLICIES))):
+        unknown = [name for name in given.split(",") if name not in allowed]
+        if unknown:
+            raise SystemExit(f"--{option} {unknown[0]}: allowed is {', '.join(allowed)}")
     methods = [_asked(text, options) for text in (METHODS if options.methods == "all" else options.methods.split(","))]
     noises = [float(x) for x in options.noise.split(",")]
     return [
@@ -61,7 +70,10 @@ def _asked(text: str, options: argparse.Namespace) -> tuple[str, int, int, tuple
     wanted = re.fullmatch(r"(\d+)x(\d+)", budget or f"{options.particles}x{options.generations}")
     if name not in METHODS or wanted is None:
         raise SystemExit(f"--methods {text}: allowed is METHOD or METHOD@50x6, of {', '.join(METHODS)}")
-    settings = {key: float(value) for key, value in (pair.split("=") for pair in options.set)}
+    pairs = [re.fullmatch(r"(\w+)=([-+.\deE]+)", pair) for pair in options.set]
+    if None in pairs:
+        raise SystemExit(f"--set {options.set[pairs.index(None)]}: allowed is NAME=NUMBER, such as alpha=0.1")
+    settings = {pair[1]: float(pair[2]) for pair in pairs if pair}
     unknown = sorted(set(settings) - {field for method in METHODS.values() for field in method.settings._fields})
     if unknown:
         raise SystemExit(f"--set {unknown[0]}: no method has such a setting")

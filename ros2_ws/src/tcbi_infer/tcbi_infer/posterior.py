@@ -86,9 +86,14 @@ def _generations(result: Result) -> "xr.Dataset":
 
 
 def save(store: ModelStore, result: Result) -> Model:
-    """Save a result as the next version of its model, with the groups above in its netCDF file."""
+    """Save a result as the next version of its model, with the groups above in its netCDF file.
+
+    Only then the state is removed from which an interrupted inference goes on.
+    """
     saved = store.save(result.updated_model())
     write(store.models / saved.version / "posterior.nc", result)
+    if result.state is not None:
+        result.state.unlink(missing_ok=True)
     return saved
 
 

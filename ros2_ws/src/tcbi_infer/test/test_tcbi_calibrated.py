@@ -5,7 +5,8 @@ import pytest
 from tcbi_cases import normal_problem
 
 from tcbi_infer.errors import InferError, SettingError
-from tcbi_infer.tcbi import calibrated
+from tcbi_infer.tcbi import calibrated, calibration
+from tcbi_infer.tcbi.features import Observed
 from tcbi_infer.tcbi.result import estimates
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised, quantiles
 from tcbi_sim.parameter import Parameter
@@ -116,3 +117,19 @@ def test_diverged_simulations_weigh_nothing_and_all_diverged_is_an_error() -> No
     assert np.all(weights[unit[:, 0] <= 0.4] == 0) and weights.sum() == pytest.approx(1.0)
     with pytest.raises(InferError, match="all 40 simulations diverged"):
         calibrated.step(np.random.default_rng(0), calibrated.init(1), failing(2.0), observed, settings)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_weight_of_the_data_does_not_grow_with_the_number_of_particles(seed: int, monkeypatch) -> None:
+    """Energies that are parabolas, whose minimum moves by 0.4 over resampled rollouts."""
+    rng = np.random.default_rng(seed)
+    minima = 0.4 * np.sqrt(20) * rng.standard_normal(20)
+    monkeypatch.setattr(calibration, "divergences", lambda _, z, units: 25.0 * (z - units @ minima / 20) ** 2)
+    observed = Observed(np.zeros((20, 1, 1)), np.array([0]), ("x",), ("x/x",))
+    found = []
+    for count in (300, 3000, 12000):
+        z = rng.uniform(-3.0, 3.0, (count, 1))
+        full = 25.0 * (z[:, 0] - minima.mean()) ** 2
+        alpha = calibration.calibrate(np.random.default_rng(1), observed, z, np.ones(1), z, np.zeros(count), full)
+        found.append(alpha)
+    assert max(found) < 1.6 * min(found)

@@ -101,6 +101,8 @@ def test_an_interrupted_inference_goes_on_to_the_same_result(problem: Problem, m
     assert any("resumed" in line for line in resumed.warnings)
     assert np.array_equal(resumed.unit, through.unit) and np.array_equal(resumed.log_weights, through.log_weights)
     assert len(resumed.generations) == 3
+    assert list(tmp_path.glob("*/state.npz")), "who is interrupted while it is saved loses nothing"
+    posterior.save(ModelStore(tmp_path / "store"), resumed)
     assert not list(tmp_path.glob("*/state.npz"))
 
 
@@ -303,6 +305,26 @@ def test_recordings_show_the_noise_of_attitudes_at_any_tilt(tilt: float, sigma: 
     recorded = [add_noise(m, noise, rng) for m in hexapod_rollouts("gait:steps", tilt=tilt, duration=4.0)]
     found = sensor_noise(recorded, dataclasses.replace(rig.noise, attitude=1.0)).attitude
     assert found == pytest.approx(sigma, rel=0.15)
+
+
+def test_the_few_rollouts_that_lack_a_signal_are_left_out_so_that_the_others_keep_its_statistics() -> None:
+    walking = hexapod_rollouts("gait:tripod", count=4)
+    blind = dataclasses.replace(walking[0], attitude=None)
+    problem = Problem.of(base_model("hexapod"), [blind, *walking[1:]])
+    assert blind.rollout_id not in problem.rollout_ids and "attitude" in {s.name for s in problem.statistics}
+    assert f"{blind.rollout_id} left out: no attitude was recorded, which the others have" in " ".join(problem.warnings)
+    all_blind = [dataclasses.replace(m, attitude=None) for m in walking]
+    assert len(Problem.of(base_model("hexapod"), all_blind).rollout_ids) == len(walking)
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_motion_that_was_sampled_slowly_is_not_taken_for_noise_and_noise_is(every: int) -> None:
+    rig, rng = load_rig("hexapod"), np.random.default_rng(0)
+    walking = hexapod_rollouts("gait:tripod", duration=4.0)
+    slow = [m.resampled(m.time[::every]) for m in walking]
+    assert sensor_noise([add_noise(m, rig.noise, rng) for m in slow], rig.noise).joint_position <= 0.0008
+    loud = dataclasses.replace(rig.noise, joint_position=0.1, encoder_step=0.0)
+    assert sensor_noise([add_noise(m, loud, rng) for m in slow], rig.noise).joint_position > 0.08
 
 
 def test_the_noise_of_attitudes_is_seen_where_roll_passes_half_a_turn() -> None:

@@ -33,10 +33,15 @@ def test_a_bound_that_is_not_the_null_value_may_cut_the_posterior_off() -> None:
 
 
 def test_a_posterior_at_a_bound_that_fits_poorly_says_that_the_prior_seems_to_exclude_the_data() -> None:
-    (line,), fits = misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1))
+    (line,), fits = misfits((MASS, GAP), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1))
     assert fits is False
-    assert line.startswith("the prior of gap seems to exclude the data: what fits best lies at its low end, 0 rad, and")
-    assert piled((GAP, MASS), AT_BOUND, EQUAL, last(2.0)) == []
+    assert line.startswith("the prior of mass seems to exclude the data: what fits best lies at its low end, 0.5 kg")
+    assert piled((MASS, GAP), AT_BOUND, EQUAL, last(2.0)) == []
+
+
+def test_an_effect_that_is_absent_is_told_so_and_no_wider_prior_is_asked_for() -> None:
+    assert misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1)) == ([], True)
+    assert "where the effect is absent" in piled((GAP, MASS), AT_BOUND, EQUAL, last(2.0))[0]
 
 
 def test_a_posterior_within_its_bounds_needs_no_line() -> None:
@@ -50,7 +55,7 @@ def test_a_search_that_still_finds_better_fits_cannot_tell_whether_the_model_fit
     misfit: float, before: float | None
 ) -> None:
     earlier = None if before is None else last(before * misfit)
-    (line,), fits = misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(misfit), earlier)
+    (line,), fits = misfits((MASS, GAP), AT_BOUND, EQUAL, ["x"], last(misfit), earlier)
     assert fits is None
     assert line.startswith("too few particles or generations to tell whether the model fits") and "effect" not in line
 

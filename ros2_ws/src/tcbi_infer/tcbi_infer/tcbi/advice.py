@@ -99,7 +99,7 @@ def advise(
     rng = np.random.default_rng(problem.seed)
     unit = Prior.of(result.updated_model()).unit(rng.random((DRAWS, len(problem.model.names))))
     noise = residuals(problem, np.exp(result.log_weights) @ result.unit)
-    left = np.ones((len(tried), len(unsure)))
+    left = np.full((len(tried), len(unsure)), np.nan)  # where too few simulations stayed upright to tell
     for k, motion in enumerate(tried):
         progress(k / len(tried), motion.name)
         kept, seen = statistics_of(problem, motion, unit, noise, rng)
@@ -110,9 +110,9 @@ def advise(
 
 
 def _best(parameter: str, left: np.ndarray, motions: Sequence[Motion]) -> Advice:
-    if not len(motions):
+    if not np.isfinite(left).any():
         return Advice(parameter, 1.0, False)
-    k = int(np.argmin(left))
+    k = int(np.nanargmin(left))
     m, share = motions[k], float(left[k])
     return Advice(parameter, share, share < IDENTIFIED_BELOW, m.name, m.description, m.command)
 

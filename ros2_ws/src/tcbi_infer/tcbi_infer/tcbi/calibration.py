@@ -22,7 +22,7 @@ from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 
 LARGEST_ALPHA = 0.5
 RESAMPLES = 40
-MOST_PARTICLES = 300  # used in calibration, those of least energy
+MOST_PARTICLES = 300  # used in calibration, evenly from the best to the worst
 BEST = 5  # particles that show what divergence remains
 
 
@@ -118,8 +118,9 @@ def calibrate(
       log_base: (M,) log-weights at alpha = 0, -inf for particles that do not count.
       full: (M,) energies with all rollouts.
     """
-    order = np.argsort(np.where(np.isfinite(log_base), full, np.inf), kind="stable")[:MOST_PARTICLES]
-    order = order[np.isfinite(log_base[order])]
+    order = np.argsort(np.where(np.isfinite(log_base), full, np.inf), kind="stable")[: np.isfinite(log_base).sum()]
+    few = min(len(order), MOST_PARTICLES)  # the best alone would be narrower than the posterior
+    order = order[np.linspace(0, len(order) - 1, few).round().astype(int)]
     counts, z, log_base, full = counts[order], z[order], log_base[order], full[order]
     units = len(observed.counts)
     resampled = rng.multinomial(units, np.full(units, 1 / units), size=RESAMPLES)

@@ -89,10 +89,7 @@ def infer(
     loop = _Loop(problem, chosen, given, seed, place, watch)
     with _stopping(place):
         loop.run()
-    result = loop.result()
-    if place is not None:
-        (place / "state.npz").unlink(missing_ok=True)
-    return result
+    return loop.result()
 
 
 def settings_of(method: Method, given: Mapping[str, Any]) -> Any:
@@ -292,6 +289,7 @@ class _Loop:
             float(1 / np.sum(np.exp(2 * log_weights))),
             simulated, seconds, tuple(self.history), bool(self.state.converged), problem.closed_loop,
             (*problem.warnings, *resumed, *lines), self.known, fits,
+            None if self.place is None else self.place / "state.npz",
         )  # fmt: skip
 
     def _last_generation(self) -> Generation:

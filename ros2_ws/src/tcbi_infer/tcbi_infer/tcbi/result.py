@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,6 +69,7 @@ class Result:
     warnings: tuple[str, ...]
     prior: np.ndarray | None = None  # (N, P) draws in [0, 1] of the prior that was used; None for the flat one
     fits: bool | None = True  # no sign that the model is wrong; None: the search was too short to tell
+    state: Path | None = None  # from which an interrupted inference goes on; of no use once this is saved
 
     @property
     def particles(self) -> np.ndarray:
@@ -195,7 +197,7 @@ def misfits(
         f"the prior of {end.parameter.name} seems to exclude the data: what fits best lies at its {end.at}, "
         "and fits poorly; widen the prior, or an effect is missing"
         for end in _ends(parameters, unit, log_weights, last)
-        if end.share > PILED or end.best
+        if not end.null and (end.share > PILED or end.best)
     ]
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
     lines = bounds if poor.keys() - falling else []
@@ -218,12 +220,10 @@ def _falling(ratios: Mapping[str, float], statistics: Sequence[str], before: Gen
 
 
 def piled(parameters: Sequence[Parameter], unit: np.ndarray, log_weights: np.ndarray, last: Generation) -> list[str]:
-    """A line for each parameter whose posterior piles up at a bound, where nothing says that the model is wrong."""
-    if _fits_poorly(last):
-        return []
+    """A line for each parameter whose posterior piles up at a bound; of a wrong model, only where it is null there."""
     lines = []
     for end in _ends(parameters, unit, log_weights, last):
-        if end.share > PILED:
+        if end.share > PILED and (end.null or not _fits_poorly(last)):
             absent = "where the effect is absent" if end.null else "which may cut it off; a wider prior would tell"
             lines.append(f"the posterior of {end.parameter.name} piles up at its {end.at}, {absent}")
     return lines

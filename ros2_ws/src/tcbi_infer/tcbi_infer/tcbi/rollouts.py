@@ -20,6 +20,8 @@ LEAST_SAMPLES = 20
 NOISIER = 3.0  # times the rig's noise: recordings as noisy as that are believed to be so
 FINE_S = 0.02  # a gap is longer
 MOST_SILENT = 0.05  # of a rollout
+WHITE = -0.5  # autocorrelation of third differences, below which noise is white enough to be noise
+SENSED = ("attitude", "angular_velocity", "contact")  # that a statistic is made of, and a rollout may lack
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
     if torn:
         warnings.append(f"{_some(sorted(torn))} left out: samples, commands or a signal are missing in part")
         usable = [m for m in usable if m.rollout_id not in torn]
+    lines, usable = _without_the_blind(usable)
+    warnings += lines
     distinct = list({m.rollout_id: m for m in usable}.values())
     if len(distinct) < len(usable):
         warnings.append(
@@ -74,6 +78,17 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
             "itself; record rollouts with other seeds or slopes"
         )
     return distinct, warnings + _mixture(distinct)
+
+
+def _without_the_blind(measurements: list[Measurement]) -> tuple[list[str], list[Measurement]]:
+    """Rollouts without the few that lack a signal that most have: they would take its statistics from all."""
+    lines, kept = [], measurements
+    for name in SENSED:
+        blind = [m.rollout_id for m in kept if getattr(m, name) is None]
+        if 0 < len(blind) <= len(measurements) / 3:
+            lines.append(f"{_some(blind)} left out: no {name.replace('_', ' ')} was recorded, which the others have")
+            kept = [m for m in kept if m.rollout_id not in blind]
+    return lines, kept
 
 
 def _torn(m: Measurement) -> bool:
@@ -161,19 +176,22 @@ def _until(m: Measurement, duration: float) -> Measurement:
 def sensor_noise(measurements: Sequence[Measurement], nominal: Noise) -> Noise:
     """Noise for simulated readings: the rig's, less if the recordings show less, more if they show much more.
 
+    More is taken only for noise where it is white: slow sampling leaves motion in the differences, too.
+
     Body rates are not smooth where feet strike: their noise is never taken for more than the rig's.
     """
 
-    def state(found: float, sd: float) -> float:
-        return found if found > NOISIER * sd else min(sd, found)
+    def state(signals: Sequence[np.ndarray | None], sd: float, turn: float = np.inf) -> float:
+        found = _white(signals, turn)
+        return found if found > NOISIER * sd and _looks_white(signals, turn) else min(sd, found)
 
     tilts = [None if m.attitude is None else roll_pitch_yaw(m.attitude)[:, :2] for m in measurements]
     places = [None if m.position is None else m.position[:, :2] for m in measurements]  # height enters no reward
     return Noise(
-        joint_position=state(_white([m.joint_position for m in measurements]), nominal.joint_position),
-        attitude=state(_white(tilts, turn=2 * np.pi), nominal.attitude),
+        joint_position=state([m.joint_position for m in measurements], nominal.joint_position),
+        attitude=state(tilts, nominal.attitude, turn=2 * np.pi),
         angular_velocity=min(nominal.angular_velocity, _white([m.angular_velocity for m in measurements])),
-        position=state(_white(places), nominal.position),
+        position=state(places, nominal.position),
         encoder_step=_encoder_step([m.joint_position for m in measurements], nominal.encoder_step),
     )
 
@@ -197,11 +215,29 @@ def _white(signals: Sequence[np.ndarray | None], turn: float = np.inf) -> float:
 
     Third differences of smooth signals leave little but noise; the median is taken, since motion can only add to it.
     """
+    thirds = _thirds(signals, turn)
+    spread = [np.nanmedian(np.abs(third)) / (0.6745 * np.sqrt(20.0)) for third in thirds]
+    return float(np.median(spread)) if spread else 0.0
+
+
+def _looks_white(signals: Sequence[np.ndarray | None], turn: float = np.inf) -> bool:
+    """Whether neighbouring third differences go against each other: by -0.75 in white noise, hardly in motion."""
+    found = []
+    for third in _thirds(signals, turn):
+        limit = 3.0 * np.nanmedian(np.abs(third), axis=0) / 0.6745
+        kept = np.clip(np.nan_to_num(third), -limit, limit)
+        square = (kept**2).sum(axis=0)
+        told = square > 0
+        found += ((kept[1:] * kept[:-1]).sum(axis=0)[told] / square[told]).tolist()
+    return bool(found) and float(np.median(found)) < WHITE
+
+
+def _thirds(signals: Sequence[np.ndarray | None], turn: float) -> list[np.ndarray]:
+    """Third differences of (T, D) signals, of which angles repeat after a `turn`."""
     thirds = [np.diff(values, n=3, axis=0) for values in signals if values is not None and len(values) > 4]
     if np.isfinite(turn):
         thirds = [(third + turn / 2) % turn - turn / 2 for third in thirds]
-    spread = [np.nanmedian(np.abs(third)) / (0.6745 * np.sqrt(20.0)) for third in thirds]
-    return float(np.median(spread)) if spread else 0.0
+    return thirds
 
 
 def _encoder_step(joints: Sequence[np.ndarray], step: float) -> float:
