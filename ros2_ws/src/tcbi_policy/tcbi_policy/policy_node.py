@@ -35,6 +35,7 @@ from tcbi_sim.store import default_root
 
 SETTLE_S = 0.02  # before the first tick: what was sent before `policy/enable` may still be in the queues
 WATCH_S = 0.05
+DISCOVERY_S = 8.0  # from the node's start, in which a robot that is there is heard
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class PolicyNode(Node):
         self._fault = ""
         self._quiet_until = 0.0
         self._worst_s = 0.0  # longest computation of a tick since the last diagnostics
+        self._began, self._unanswered = time.monotonic(), list[Future]()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._offer()
         if self.values.enabled:
@@ -77,7 +79,9 @@ class PolicyNode(Node):
         self.create_subscription(RolloutEvent, names.ROLLOUT_EVENT, self._on_event, latched)
         self.create_subscription(Imu, names.IMU, self._on_imu, stream)
         self.create_subscription(JointState, names.JOINT_STATES, self._on_joints, stream)
-        self.create_service(SetBool, names.ENABLE_POLICY, self._on_enable)
+        # a group of its own: an answer may wait until the sensors are heard
+        asking = MutuallyExclusiveCallbackGroup()
+        self.create_service(SetBool, names.ENABLE_POLICY, self._on_enable, callback_group=asking)
         # a group of its own: while this one awaits a file, the callbacks of the others go on
         loading = MutuallyExclusiveCallbackGroup()
         self.create_service(LoadPolicy, names.LOAD_POLICY, self._on_load, callback_group=loading)
@@ -159,6 +163,14 @@ class PolicyNode(Node):
         reason = self._ticker.silence(self._actor.needs_attitude, time.monotonic())
         if reason:
             self._stop(reason)
+        if self._ready():
+            for answer in self._unanswered:
+                answer.set_result(None)
+            self._unanswered.clear()
+
+    def _ready(self) -> bool:
+        """Whether the sensors have been heard, or there has been time enough to discover them."""
+        return self._ticker.heard(self._actor.needs_attitude) or time.monotonic() - self._began > DISCOVERY_S
 
     # -- services -------------------------------------------------------------------------------------------------
 
@@ -177,12 +189,17 @@ class PolicyNode(Node):
         self._quiet_until = 0.0
         self._act()
 
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    async def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Act, or rest. Who has it rest before a rollout is answered once a rollout could begin."""
         if request.data and not self._ticker.enabled:
             self._enable()
         elif not request.data:
             self._ticker.disable()
             self._fault = ""
+            if not self._ready():
+                self._unanswered.append(Future(executor=self.executor))
+                self._unanswered[-1].add_done_callback(lambda _: None)  # wakes the executor
+                await self._unanswered[-1]
         response.success = True
         response.message = f"{self._actor.policy_id} {'acts' if request.data else 'rests'}"
         return response

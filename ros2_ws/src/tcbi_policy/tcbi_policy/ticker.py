@@ -192,6 +192,10 @@ class Ticker:
         assert position is not None and self._first is not None
         return Tick(time, (time - self._first) / 1e9, position, self._attitude.at(time))
 
+    def heard(self, needs_attitude: bool) -> bool:
+        """Whether each sensor that is needed has been heard at all."""
+        return all(s.arrived is not None for s in (self._joints, self._attitude)[: 2 if needs_attitude else 1])
+
     def silence(self, needs_attitude: bool, wall: float) -> str:
         """Why the motion must stop although nothing arrived, or "".
 

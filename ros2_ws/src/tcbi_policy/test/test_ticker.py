@@ -44,6 +44,15 @@ def test_an_enabled_policy_ticks_at_the_present_where_a_simulated_clock_stands()
     assert ticker.due(True) is None
 
 
+def test_sensors_are_heard_once_each_that_is_needed_has_come() -> None:
+    ticker = Ticker(False, 0.4)
+    assert not ticker.heard(needs_attitude=False)
+    feed(ticker, 1000 * MS, attitude=False)
+    assert ticker.heard(needs_attitude=False) and not ticker.heard(needs_attitude=True)
+    feed(ticker, 1020 * MS)
+    assert ticker.heard(needs_attitude=True)
+
+
 def test_in_real_time_samples_from_before_a_silence_are_no_present() -> None:
     ticker = Ticker(False, 0.4)
     feed(ticker, 3000 * MS, wall=0.0)
