@@ -7,6 +7,8 @@ def test_something(start_graph, peer):
     peer.wait_until(lambda: len(got) >= 10, "ten joint states")
 """
 
+import contextlib
+import gc
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -17,6 +19,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
 
 from tcbi_bringup.graph_monitor import GraphMonitor
 from tcbi_bringup.launcher import Graph, NodeProcess
@@ -51,6 +54,20 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         yield number
+
+
+@contextlib.contextmanager
+def ros_in_process(arguments: list[str]) -> Iterator[None]:
+    """ROS for a node in the process of the test; nobody finds it in the domain any more once the test has let go of it.
+
+    Its cycles of references would keep it there until they happened to be collected.
+    """
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield
+    finally:
+        rclpy.shutdown()
+        gc.collect()
 
 
 @pytest.fixture

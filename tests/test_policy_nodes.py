@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -31,6 +29,7 @@ from tcbi_policy.artefact import Policy, find_policy, save_policy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.policy_node import PolicyNode
 from tcbi_policy.retrain_node import RetrainNode
+from tests.conftest import ros_in_process
 
 pytestmark = pytest.mark.graph
 MS = 1_000_000
@@ -54,10 +53,8 @@ def policy_node(**parameters: Any) -> NodeProcess:
 @pytest.fixture
 def own_process(domain: int, tmp_path: Any) -> Iterator[None]:
     """For a node in the process of the test, which replaces a part of it."""
-    arguments = ["--ros-args", "-p", f"store:={tmp_path / 'store'}"]
-    rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    yield
-    rclpy.shutdown()
+    with ros_in_process(["--ros-args", "-p", f"store:={tmp_path / 'store'}"]):
+        yield
 
 
 def begin_rollout(peer: Any, task: str, duration: float, seed: int = 1) -> int:

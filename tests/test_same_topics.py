@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -27,6 +26,7 @@ from tcbi_msgs.srv import ResetEpisode
 from tcbi_sim.measurement import roll_pitch_yaw
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sim_node import SimNode
+from tests.conftest import ros_in_process
 
 pytestmark = pytest.mark.graph
 
@@ -152,15 +152,16 @@ def test_every_field_of_every_topic_is_alike(start_graph, peer, port, tmp_path):
 
 def test_both_keep_as_many_messages_as_the_contract_says(domain, port, tmp_path):
     """Asked of the nodes themselves: the middleware tells other nodes neither history nor depth."""
+
+    def kept_by(make: type[Node]) -> dict[str, tuple]:
+        node = make()
+        kept = {p.topic.lstrip("/"): (p.qos_profile.history, p.qos_profile.depth) for p in node.publishers}
+        node.destroy_node()
+        return kept
+
     for name, make in (("sim_node", SimNode), ("driver_node", DriverNode)):
-        arguments = process(name, port, tmp_path / "store").ros_arguments()
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            node = make()
-            kept = {p.topic.lstrip("/"): (p.qos_profile.history, p.qos_profile.depth) for p in node.publishers}
-            node.destroy_node()
-        finally:
-            rclpy.shutdown()
+        with ros_in_process(process(name, port, tmp_path / "store").ros_arguments()):
+            kept = kept_by(make)
         expected = dict.fromkeys((*STREAMS, names.DIAGNOSTICS), (HistoryPolicy.KEEP_LAST, 50))
         assert {topic: kept.get(topic) for topic in expected} == expected, name
 

@@ -66,6 +66,7 @@ def _copy(model: mujoco.MjModel, spec: mujoco.MjSpec) -> None:
     for actuator in spec.actuators:
         own = model.actuator(actuator.id)
         actuator.gainprm, actuator.biasprm, actuator.forcerange = own.gainprm, own.biasprm, own.forcerange
+        actuator.dynprm = own.dynprm
         if own.biasprm[2] > 0:  # MuJoCo would take it for a damping ratio where gain and bias are exactly opposite
             actuator.gainprm[0] *= 1 + 1e-5
 

@@ -306,7 +306,7 @@ def apply_settings(
     for setting in known:
         given = constants.get(setting.name, np.full(fields.count, np.nan))
         value = np.where(np.isnan(given), setting.default, given)
-        if np.isfinite(value).all():
+        if not np.isnan(value).all():
             write(fields, setting, value)
     for setting in parameters:
         write(fields, setting, values[setting.name])

@@ -38,7 +38,7 @@ class Setting:
 
 
 def write(fields: Fields, setting: Setting, value: np.ndarray) -> None:
-    """Write values (B,) into the simulations' fields."""
+    """Write values (B,) into the simulations' fields; NaN leaves the model file's."""
     model, places = fields.model, setting.places
     column = value[:, None]
     if setting.quantity in DOF_FIELDS:
@@ -82,8 +82,8 @@ def _gain(fields: Fields, places: tuple[str, ...]) -> np.ndarray:
 
 
 def _new(old: np.ndarray, value: np.ndarray, setting: Setting) -> np.ndarray:
-    return old * value if setting.factor else np.broadcast_to(value, old.shape)
+    return np.where(np.isnan(value), old, old * value if setting.factor else value)
 
 
 def _ratio(old: np.ndarray, value: np.ndarray, setting: Setting) -> np.ndarray:
-    return np.broadcast_to(value if setting.factor else value / old, old.shape)
+    return np.broadcast_to(np.where(np.isnan(value), 1.0, value if setting.factor else value / old), old.shape)

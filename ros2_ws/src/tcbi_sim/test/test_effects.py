@@ -11,6 +11,7 @@ from tcbi_sim.effects import built_in, candidates, find_use
 from tcbi_sim.engine import simulate
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Commands, Scenario, roll_pitch_yaw
+from tcbi_sim.mjcf import materialise
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.simulator import Simulator
@@ -89,6 +90,35 @@ def bench(key: str, **values: float) -> Simulator:
     row = {p.name: p.nominal for p in model.parameters} | {f"{key}.{n}": v for n, v in values.items()}
     scenario = Scenario("bench", 2.0, initial_joint_position=(np.pi / 2,))
     return Simulator(model, np.array([[row[n] for n in model.names]] * 2), [scenario] * 2, threads=1)
+
+
+def trunk(effects: tuple[str, ...] = (), **values: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre and inertia tensor of a hexapod's trunk in its own axes."""
+    model = base_model("hexapod")
+    for key in effects:
+        model = model.with_effect(key)
+    row = dict(zip(model.names, model.mean(), strict=True)) | {"mass": 0.9} | values
+    own = materialise(model, np.array([row[n] for n in model.names]))
+    body, axes = own.body("base_link"), np.empty(9)
+    mujoco.mju_quat2Mat(axes, body.iquat)
+    turn = axes.reshape(3, 3)
+    return float(body.mass[0]), body.ipos, turn @ np.diag(body.inertia) @ turn.T
+
+
+@pytest.mark.parametrize("added", [0.0, 0.4])
+def test_a_payload_adds_a_point_mass_to_the_trunk(added):
+    """Against the inertia tensors of all masses about the origin, which add up (parallel axes)."""
+    place = np.array([0.1, -0.06, 0.03])
+    mass, center, inertia = trunk(("payload",), **{"payload.mass": added, "payload.x": 0.1, "payload.y": -0.06})
+    old_mass, old_center, old_inertia = trunk()
+
+    def about_origin(m, r):
+        return m * (r @ r * np.eye(3) - np.outer(r, r))
+
+    np.testing.assert_allclose(mass, old_mass + added)
+    np.testing.assert_allclose(mass * center, old_mass * old_center + added * place, atol=1e-12)
+    whole = old_inertia + about_origin(old_mass, old_center) + about_origin(added, place)
+    np.testing.assert_allclose(inertia + about_origin(mass, center), whole, atol=1e-9)
 
 
 @pytest.mark.parametrize("key", ["battery_sag", "thermal_fading"])

@@ -93,6 +93,21 @@ def test_a_recordings_constant_is_written_and_without_it_the_model_file_counts(f
     assert abs(slow[20] - as_filed[20]) > 0.05
 
 
+@pytest.mark.parametrize("sets", ["damping", "inertia", "lag"])
+def test_a_recording_with_a_constant_has_its_bits_also_beside_one_without(folder, sets):
+    places = {"inertia": 'bodies = ["arm"]\n'}.get(sets, "")
+    (folder / "my_arm.toml").write_text(TOML.replace('sets = "damping"\n', f'sets = "{sets}"\n{places}'))
+    commands = [Commands(np.zeros(1), np.array([[0.5]]), 0.0)]
+    scenarios = [Scenario("none", 0.5, settle=0.0, constants=given) for given in ((("drag", 0.3),), ())]
+
+    def run(chosen):
+        parameters = np.array([[4.0, 1.0]])
+        return simulate(base_model("my_arm"), parameters, chosen, commands=commands * len(chosen)).joint_position[0]
+
+    apart = np.concatenate([run([scenario]) for scenario in scenarios])
+    np.testing.assert_allclose(run(scenarios), apart, rtol=0, atol=1e-12)
+
+
 def test_the_users_rig_has_a_version_0_that_can_be_saved_with_an_effect(folder):
     store = ModelStore(folder / "store")
     assert "my_arm" in rig_names() and "my_arm-v0" in store.versions()

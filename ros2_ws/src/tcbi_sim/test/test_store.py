@@ -132,6 +132,8 @@ def test_the_exported_mjcf_is_the_model(store):
         "dof_damping",
         "actuator_gainprm",
         "actuator_biasprm",
+        "actuator_dynprm",
+        "body_inertia",
         "tendon_stiffness",
         "tendon_lengthspring",
         "site_pos",

@@ -1,5 +1,6 @@
 """A mass that the model does not know of, somewhere on the trunk."""
 
+import mujoco
 import numpy as np
 
 from tcbi_sim.effect import Effect, Values, floating_rig
@@ -15,11 +16,20 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
     place = np.stack([values["x"], values["y"], np.full_like(added, 0.03)], axis=-1)
     total = old + added
     offset = place - center[:, trunk]
-    # two point masses about their common centre, each axis with the distance from it
-    reduced = (old * added / total)[:, None]
-    fields.model["body_inertia"][:, trunk] += reduced * ((offset**2).sum(-1, keepdims=True) - offset**2)
+    _add_inertia(fields, trunk, old * added / total, offset)
     center[:, trunk] += offset * (added / total)[:, None]
     mass[:, trunk] = total
+    fields.model["body_sameframe"][:, trunk] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+
+
+def _add_inertia(fields: Fields, body: int, reduced: np.ndarray, offset: np.ndarray) -> None:
+    """Of two point masses about their common centre: reduced mass (B,), and offset (B, 3) in the body's axes."""
+    inertia, turn, axes = fields.model["body_inertia"], fields.model["body_iquat"], np.empty(9)
+    for b in np.flatnonzero(reduced):
+        mujoco.mju_quat2Mat(axes, turn[b, body])
+        principal, r = axes.reshape(3, 3), offset[b]
+        tensor = principal @ np.diag(inertia[b, body]) @ principal.T + reduced[b] * (r @ r * np.eye(3) - np.outer(r, r))
+        mujoco.mju_eig3(inertia[b, body], axes, turn[b, body], tensor.ravel())
 
 
 EFFECT = Effect(
