@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -13,7 +14,10 @@ from tcbi_setup.progress import say
 
 
 def main() -> int:
-    """Set up what is missing; 0 when all of it is there."""
+    """Set up what is missing; 0 when all of it is there. SIGTERM and the end of the terminal count as Ctrl-C."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as below nohup
+            signal.signal(number, signal.default_int_handler)
     try:
         with one_at_a_time():
             set_up(os.environ.get("TCBI_FINGERPRINT", ""))
@@ -30,11 +34,12 @@ def main() -> int:
 
 
 def set_up(fingerprint: str) -> None:
-    """All steps; each is skipped if it is complete. The stamp comes last."""
+    """All steps; each is skipped if it is complete. The stamp comes last; until then an earlier one counts no more."""
     began = time.monotonic()
     torch = environment.wanted_torch()
     if not (STATE / "stamp").exists():
         say("first use: setting up inside this folder, some two minutes (a second call finds it ready)")
+    (STATE / "stamp").unlink(missing_ok=True)
     made = environment.key(torch)
     if read(STATE / "environment") != made:
         say("[1/2] Python packages and ROS wheels")
@@ -50,7 +55,7 @@ def set_up(fingerprint: str) -> None:
 
 @contextmanager
 def one_at_a_time() -> Iterator[None]:
-    """Hold the set-up's lock, waiting for another call that holds it."""
+    """Hold the set-up's lock, waiting for another call that holds it, or whose programs go on after it was killed."""
     STATE.mkdir(parents=True, exist_ok=True)
     with (STATE / "lock").open("w") as lock:
         try:
@@ -58,6 +63,7 @@ def one_at_a_time() -> Iterator[None]:
         except BlockingIOError:
             say("another call is setting up: waiting for it")
             fcntl.flock(lock, fcntl.LOCK_EX)
+        os.set_inheritable(lock.fileno(), True)
         yield
 
 

@@ -38,6 +38,7 @@ def run(step: str, command: Sequence[str | Path], environment: Mapping[str, str]
             stdout=log,
             stderr=subprocess.STDOUT,
             start_new_session=True,
+            close_fds=False,  # it holds the set-up's lock, too
         )
         try:
             _watch(step, process)

@@ -31,7 +31,8 @@ def outdated(environment: str) -> dict[Path, str]:
 
 
 def _is_built(name: str, key: str) -> bool:
-    return read(STATE / "packages" / name) == key and (WORKSPACE / "install" / name).is_dir()
+    cut_off = name in read(STATE / "building").split()
+    return not cut_off and read(STATE / "packages" / name) == key and (WORKSPACE / "install" / name).is_dir()
 
 
 def forget() -> None:

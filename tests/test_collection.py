@@ -72,7 +72,9 @@ def test_a_robot_is_placed_by_others_and_its_distance_entered_by_hand(start_grap
     entered = peer.publisher(names.DISTANCE, Float64, 10)
     goal = {"task": "balance", "number": 1, "policy": "none", "duration_s": 1.0, "slope_roll": [0.25]}
     collection = Collection(peer, **goal)
-    peer.wait_until(lambda: bool(collection.told) and collection.told[-1].remaining_s == 0, "the end of the rollout")
+    peer.wait_until(lambda: bool(collection.told), "the rollout")
+    entered.publish(Float64(data=7.0))  # too late for a rollout before this one
+    peer.wait_until(lambda: collection.told[-1].remaining_s == 0, "the end of the rollout")
     entered.publish(Float64(data=0.42))
     status, result = collection.result()
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message
@@ -143,6 +145,19 @@ def test_ctrl_c_at_a_prompt_frees_the_recorder_and_keeps_a_rollout_that_is_over(
     if kept:
         peer.wait_until(lambda: len(events) == 2, "BEGIN and one more")
         assert events[1].kind == RolloutEvent.END and math.isnan(events[1].distance)
+
+
+def test_nobody_at_the_prompt_starts_no_robot_and_frees_the_recorder(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False))
+    robot = Robot(peer, hands=False)
+    command = [sys.executable, "-m", "tcbi_bringup.cli", "collect", "--policy", "none", "--duration", "0.4", "--place"]
+    for _ in range(2):
+        with subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as asking:
+            peer.wait_until(lambda asking=asking: asking.poll() is not None, "the end of the command")
+            assert asking.stderr is not None
+            assert "tcbi: standard input has ended, so nobody can answer" in asking.stderr.read()
+        assert asking.returncode == 1
+    assert robot.resets and not [path for path in (tmp_path / "bags").iterdir() if path.is_dir()]
 
 
 class Service:

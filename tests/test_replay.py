@@ -7,11 +7,14 @@ import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 
+from tcbi_bringup.arguments import Parser
+from tcbi_bringup.commands import replay
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract import messages, names
 from tcbi_contract.names import JOINTS
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.scan import Scan
+from tcbi_infer.replay_node import ReplayParameters
 from tcbi_msgs.msg import RolloutEvent
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 
@@ -30,6 +33,25 @@ def bag_of_a_minute(folder: Path) -> Path:
         "made", "hexapod", Scenario("balance", 60.0), "", "sim", commands, JOINTS, (), time, position, attitude
     )
     return write_measurement(folder, made)
+
+
+@pytest.mark.parametrize(("option", "name"), [("--rate", "rate"), ("--wait-for", "wait_for")])
+def test_the_command_allows_what_the_node_allows(option, name, capsys):
+    parser = Parser()
+    replay.add_arguments(parser)
+    field = ReplayParameters.__dataclass_fields__[name]
+    ends = field.metadata["low"], field.metadata["high"]
+    assert [getattr(parser.parse_args(["bag", option, str(end)]), name) for end in ends] == list(ends)
+    for beyond in (ends[0] - 1, ends[1] + 1):
+        with pytest.raises(SystemExit):
+            parser.parse_args(["bag", f"{option}={beyond}"])
+
+
+def test_a_replay_that_nobody_listens_to_does_not_begin(start_graph, tmp_path):
+    values = {"bag": str(bag_of_a_minute(tmp_path / "bags")), "wait_for": 2, "wait_timeout_s": 0.5}
+    graph = start_graph(NodeProcess("tcbi_infer", "replay_node", parameters=values), wait=False)
+    assert graph.wait_for_exit("replay_node", 40.0) == 1
+    assert "0 of 2 nodes listen to /joint_states after 0.5 s; start them" in graph.tail("replay_node")
 
 
 def test_nothing_is_lost_at_a_thousand_times_the_recorded_speed(start_graph, peer, tmp_path):

@@ -1,8 +1,12 @@
 """The set-up's own parts: what it says of a machine, what it passes on to uv, what it rewrites."""
 
+import fcntl
 import os
 import shutil
+import signal
 import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -133,6 +137,58 @@ def test_a_failing_step_shows_its_last_lines_and_the_remedy(tmp_path, monkeypatc
     monkeypatch.setattr("tcbi_setup.progress.LOG", tmp_path / "setup.log")
     with pytest.raises(SetupError, match=r"(?s)thinking failed \(exit 3\); think again.*no idea"):
         run("thinking", ["bash", "-c", "echo no idea; exit 3"], {"PATH": os.environ["PATH"]}, "think again")
+
+
+SET_UP_OF_ONE_STEP = """
+import sys
+from pathlib import Path
+from tcbi_setup import __main__ as setup, progress
+folder = Path(sys.argv[1])
+setup.STATE, progress.LOG = folder, folder / "log"
+setup.set_up = lambda _: progress.run("waiting", ["sh", "-c", "echo $$ >begun; mv begun pid; exec sleep 60"], {}, "")
+progress.ROOT = folder
+sys.exit(setup.main())
+"""
+
+
+def started_set_up(folder: Path) -> tuple[subprocess.Popen, int]:
+    """A set-up within its only step, and the process group of that step's program."""
+    process = subprocess.Popen([sys.executable, "-c", SET_UP_OF_ONE_STEP, str(folder)], cwd=ROOT)
+    deadline = time.monotonic() + 30
+    while not (folder / "pid").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return process, int((folder / "pid").read_text())
+
+
+def is_locked(folder: Path) -> bool:
+    with (folder / "lock").open() as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_program_of_the_present_step_too(tmp_path, number):
+    process, group = started_set_up(tmp_path)
+    process.send_signal(number)
+    assert process.wait(30) == 130
+    with pytest.raises(ProcessLookupError):
+        os.killpg(group, 0)
+    assert not is_locked(tmp_path)
+
+
+def test_after_a_kill_the_lock_lasts_as_long_as_the_program(tmp_path):
+    process, group = started_set_up(tmp_path)
+    process.kill()
+    process.wait(30)
+    assert is_locked(tmp_path)
+    os.killpg(group, signal.SIGKILL)
+    deadline = time.monotonic() + 30
+    while is_locked(tmp_path) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not is_locked(tmp_path)
 
 
 def test_only_what_changed_is_built_again(tmp_path, monkeypatch):

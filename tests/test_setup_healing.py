@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tcbi_setup import __main__ as setup
 from tcbi_setup import environment, layout, workspace
 from tcbi_setup.layout import SetupError, read, write
 
@@ -62,8 +63,9 @@ def steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Steps:
     monkeypatch.setattr(workspace, "SOURCE", tmp_path / "src")
     monkeypatch.setattr(workspace, "WORKSPACE", private / "ws")
     monkeypatch.setattr(workspace, "_captured_environment", lambda: "")
-    for module in (environment, workspace):
+    for module in (setup, environment, workspace):
         monkeypatch.setattr(module, "STATE", private / "state")
+    for module in (environment, workspace):
         monkeypatch.setattr(module, "run", steps.run)
     return steps
 
@@ -120,6 +122,29 @@ def test_packages_whose_build_was_cut_off_are_built_from_nothing(steps):
     write(workspace.SOURCE / "two" / "package.xml", "<package>changed</package>")
     assert workspace.build("e") == ["two"]
     assert len(steps.leftovers) == 4, "after a build that came to its end, nothing is thrown away"
+
+
+def test_a_package_whose_build_was_cut_off_is_built_though_its_files_are_as_they_were(steps):
+    workspace.build("e")
+    before = read(workspace.SOURCE / "two" / "package.xml")
+    write(workspace.SOURCE / "two" / "package.xml", "<package>changed</package>")
+    cut_off(steps, BUILDING, lambda: workspace.build("e"))
+    write(workspace.SOURCE / "two" / "package.xml", before)
+    assert workspace.build("e") == ["two"]
+    assert workspace.build("e") == []
+
+
+@pytest.mark.parametrize("step", [INSTALLING, BUILDING])
+def test_a_set_up_that_was_cut_off_does_not_count_as_the_one_before_it(steps, step, monkeypatch):
+    monkeypatch.setattr(environment, "_check_space", lambda _: None)
+    monkeypatch.setenv("TCBI_TORCH", "cpu")
+    setup.set_up("before")
+    assert read(setup.STATE / "stamp") == "before\ncpu\n"
+    monkeypatch.setenv("TCBI_TORCH", "cuda")
+    cut_off(steps, step, lambda: setup.set_up("after"))
+    assert not (setup.STATE / "stamp").exists()
+    setup.set_up("after")
+    assert read(setup.STATE / "stamp") == "after\ncuda\n"
 
 
 def test_a_full_disk_is_told_before_anything_is_fetched(steps, monkeypatch):

@@ -3,12 +3,14 @@
 parser.add_argument("--n", type=at_least(1))               # an int
 parser.add_argument("--rate", type=above(0.0))             # a float
 parser.add_argument("--port", type=between(1, 65_535))
+parser.add_argument("--namespace", type=namespace)         # without slashes at its ends
 parser.add_argument("--diagnosis", type=existing_file)
 parser.add_argument("--store", type=folder_path)           # there, or to be made
 """
 
 import argparse
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -56,6 +58,16 @@ def _number(kind: type, fits: Callable[[Any], bool], allowed: str) -> Callable[[
 
 
 seed = between(0, 2**32 - 1)  # what the libraries of a training and of the methods take
+
+
+def namespace(text: str) -> str:
+    """A namespace of the graph, without slashes at its ends."""
+    name = text.strip("/")
+    if name and not re.fullmatch(r"[a-z_]\w*(/[a-z_]\w*)*", name, re.ASCII | re.IGNORECASE):
+        raise argparse.ArgumentTypeError(
+            f"got {text!r}, allowed are letters, digits and _, with / between parts that begin with no digit"
+        )
+    return name
 
 
 def existing_file(text: str) -> Path:

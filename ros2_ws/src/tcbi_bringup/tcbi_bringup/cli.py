@@ -24,7 +24,7 @@ OK, FAULT, INTERRUPTED = 0, 1, 130
 READER_GONE = 141  # as a shell reports a program that a closed pipe has ended
 
 _ROOM = "make room on the disk, or choose another folder (--store or --out)"
-_RIGHTS = "give yourself the right to write there, or choose another folder (--store or --out)"
+_RIGHTS = "give yourself the right to read or write there, or choose another folder (--store or --out)"
 _PLACE = "a file is where a folder should be: move it away, or choose another folder (--store or --out)"
 MACHINE_FAULTS = {  # what any command may meet, and what to do; other errors of the system are faults of the program
     errno.ENOSPC: _ROOM,
@@ -35,6 +35,8 @@ MACHINE_FAULTS = {  # what any command may meet, and what to do; other errors of
     errno.EPERM: _RIGHTS,
     errno.ENOTDIR: _PLACE,
     errno.EEXIST: _PLACE,
+    errno.EISDIR: "a folder is where a file should be: give the path of a file",
+    errno.ENAMETOOLONG: "the file system takes no name of this length: choose a shorter one",
     errno.EIO: "the disk fails: see what the kernel says (dmesg), or choose another folder (--store or --out)",
 }
 OWN_PACKAGES = ("tcbi_", "hexapod_driver")

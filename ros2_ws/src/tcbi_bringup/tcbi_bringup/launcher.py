@@ -96,7 +96,8 @@ class NodeProcess:
         for source, target in self.remappings.items():
             words += ["-r", f"{source}:={target}"]
         for name, value in {**self.parameters, **(self.after_crash if after_crash else {})}.items():
-            words += ["-p", f"{name}:={json.dumps(value if not isinstance(value, Path) else str(value))}"]
+            plain = str(value) if isinstance(value, Path) else value
+            words += ["-p", f"{name}:={json.dumps(plain, ensure_ascii=False)}"]
         return words if len(words) > 1 else []
 
 

@@ -37,7 +37,7 @@ class GraphOptions:
       sensor_port: a real robot's second port, "" where everything goes over one.
       calibration: a real robot's file, "" for the shipped one.
       hidden: effect in the emulated robot, "" to draw it from the seed.
-      strength: of that effect.
+      strength: of that effect, "" for the default.
       learning: start the inference and the retrain node too.
       recordings: where rollouts are recorded and looked for; None for a folder of the store.
       baud_rate: of a real robot's port, bit/s; 0 for the driver's own.
@@ -55,7 +55,7 @@ class GraphOptions:
     sensor_port: str = ""
     calibration: str = ""
     hidden: str = ""
-    strength: str = STRENGTHS[0]
+    strength: str = ""
     learning: bool = True
     recordings: Path | None = None
     baud_rate: int = 0
@@ -79,10 +79,11 @@ class GraphOptions:
             raise LaunchError(
                 f"--lockstep: got --robot {self.robot}, allowed is sim; a robot does not wait for commands"
             )
-        if self.hidden and self.robot != EMULATED:
-            raise LaunchError(
-                f"--hidden: got --robot {self.robot}, allowed is emulated; only there is known what is hidden"
-            )
+        for option, choice in (("--hidden", self.hidden), ("--strength", self.strength)):
+            if choice and self.robot != EMULATED:
+                raise LaunchError(
+                    f"{option}: got --robot {self.robot}, allowed is emulated; only there is known what is hidden"
+                )
         if self.robot in (SIM, EMULATED):
             for option, value in (
                 ("--sensor-port", self.sensor_port),
@@ -113,7 +114,7 @@ class GraphOptions:
                 pass
         except OSError as error:
             raise LaunchError(
-                f"--bags: {self.bags} cannot be used for recordings ({error.strerror}); choose another folder"
+                f"{self.bags} cannot be used for recordings ({error.strerror}); choose another folder"
             ) from error
 
     def _check_ports(self) -> None:
@@ -155,7 +156,7 @@ def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
     port, socket = emulated_port(folder), folder / "socket"
     place = ("--link", str(port), "--socket", str(socket))
     hidden = ("--hidden", options.hidden) if options.hidden else ()
-    arguments = (*place, "--seed", str(options.seed), "--strength", options.strength, *hidden)
+    arguments = (*place, "--seed", str(options.seed), "--strength", options.strength or STRENGTHS[0], *hidden)
     return [
         NodeProcess("tcbi_bringup", "emulated_robot", arguments=arguments, ros=False, essential=True),
         driver(parameters={"port": str(port)}),

@@ -14,6 +14,7 @@ import types
 import pytest
 
 from tcbi_bringup import cli, commands
+from tcbi_bringup.arguments import namespace
 from tcbi_contract.errors import TcbiError
 from tcbi_infer.compare.comparison import MOST_PARTICLES
 from tcbi_infer.tcbi.driver import LEAST_PARTICLES
@@ -118,8 +119,9 @@ def test_a_name_that_does_not_exist_is_wrong_usage(command, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("replay --rate 0 bag", "--rate: got '0', allowed is a number, more than 0"),
+        ("replay --rate 0 bag", "--rate: got '0', allowed is a number, 0.01 to 1000.0"),
         ("replay --rate nan bag", "--rate: got 'nan'"),
+        ("replay --wait-for 101 bag", "--wait-for: got '101', allowed is a whole number, 0 to 100"),
         ("retrain --task foo", "unknown task 'foo'; known: balance, forward"),
         ("retrain --task balance --budget -1", "--budget: got '-1', allowed is a number, more than 0"),
         ("train --task balance --steps 1.5", "--steps: got '1.5', allowed is a whole number, 1 or more"),
@@ -128,6 +130,14 @@ def test_a_name_that_does_not_exist_is_wrong_usage(command, capsys):
         ("add backlash --diagnosis nosuch.json", "--diagnosis: got 'nosuch.json', allowed is a file"),
         ("bench nosuch", "unknown benchmark 'nosuch'"),
         ("doctor --sensor-port x", "--sensor-port: got it without --port"),
+        ("doctor --calibration x", "--calibration: got it without --port"),
+        ("doctor --baud-rate 9600", "--baud-rate: got it without --port"),
+        ("doctor --sensor-baud-rate 9600", "--sensor-baud-rate: got it without --port"),
+        ("policy --onnx x", "--onnx and --measure: got no policy"),
+        ("policy --measure", "--onnx and --measure: got no policy"),
+        ("collect --realtime", "--realtime: got --robot running, allowed is sim"),
+        ("collect --robot emulated --realtime", "--realtime: got --robot emulated, allowed is sim"),
+        ("collect --strength weak", "--hidden and --strength: got --robot running, allowed is emulated"),
         ("compare bag --timestep 0", "--timestep: got '0', allowed is a number, more than 0"),
         (f"compare bag --particles {MOST_PARTICLES + 1}", f"allowed is a whole number, 0 to {MOST_PARTICLES}"),
         (f"infer bag --particles {LEAST_PARTICLES - 1}", f"allowed is a whole number, {LEAST_PARTICLES} or more"),
@@ -157,6 +167,18 @@ def test_a_wrong_value_is_one_line_that_names_it_and_what_is_allowed(words, said
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
     assert captured.err.startswith("tcbi: ") and said in captured.err
+
+
+@pytest.mark.parametrize("words", ["up", "doctor", "collect", "replay bag", "dashboard"])
+@pytest.mark.parametrize("name", ["my robot", "1left", "../x", "left//arm", "links-1"])
+def test_a_namespace_that_no_graph_can_have_is_refused(words, name, capsys):
+    assert cli.main([*words.split(), "--namespace", name]) == cli.USAGE
+    error = capsys.readouterr().err
+    assert f"--namespace: got {name!r}, allowed are letters, digits and _" in error and error.count("\n") == 1
+
+
+def test_a_namespace_is_taken_with_and_without_slashes_at_its_ends():
+    assert [namespace(text) for text in ("", "/", "left", "/lab_2/left/")] == ["", "", "left", "lab_2/left"]
 
 
 @pytest.mark.parametrize("words", [("--help",), ("effects",), ("effects", "--json")])

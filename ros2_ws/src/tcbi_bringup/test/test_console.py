@@ -37,6 +37,13 @@ def test_json_takes_dataclasses_and_keeps_the_order_of_keys(capsys):
     assert list(json.loads(capsys.readouterr().out)) == ["z", "a"]
 
 
+def test_a_file_s_name_that_is_no_text_is_escaped(capsys):
+    console.emit({"bag": "walk\udcff"})
+    assert json.loads(capsys.readouterr().out) == {"bag": "walk\udcff"}
+    done = run_python("with console.json_only():\n    console.emit({'bag': 'walk\\udcff'})")
+    assert json.loads(done.stdout) == {"bag": "walk\udcff"}
+
+
 def run_python(code: str) -> subprocess.CompletedProcess:
     preamble = "import os, subprocess\nfrom tcbi_bringup.commands import console\n"
     return subprocess.run([sys.executable, "-c", preamble + code], capture_output=True, text=True, check=False)

@@ -165,10 +165,10 @@ def test_two_processes_of_one_name_are_refused(tmp_path):
 
 
 def test_parameters_keep_their_type_on_the_command_line():
-    process = NodeProcess("p", "e", namespace="left", parameters={"a": True, "b": 1.5, "c": "1", "d": ["x"]})
+    process = NodeProcess("p", "e", namespace="left", parameters={"a": True, "b": 1.5, "c": "1", "d": ["ü🤖"]})
     assert process.ros_arguments() == [
         *("--ros-args", "-r", "__ns:=/left"),
-        *("-p", "a:=true", "-p", "b:=1.5", "-p", 'c:="1"', "-p", 'd:=["x"]'),
+        *("-p", "a:=true", "-p", "b:=1.5", "-p", 'c:="1"', "-p", 'd:=["ü🤖"]'),
     ]
 
 

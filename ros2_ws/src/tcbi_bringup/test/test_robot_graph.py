@@ -107,8 +107,11 @@ def test_what_is_hidden_in_an_emulated_robot_is_told_to_it_alone():
     chosen = emulated.arguments[emulated.arguments.index("--strength") :]
     assert chosen == ("--strength", "weak", "--hidden", "payload") and "payload" not in str(driver)
     assert "--hidden" not in robot_processes(options(robot="emulated"), Path("run"))[0].arguments
+    assert "strong" in robot_processes(options(robot="emulated"), Path("run"))[0].arguments
     with pytest.raises(LaunchError, match="--hidden: got --robot sim, allowed is emulated"):
         options(hidden="payload").check()
+    with pytest.raises(LaunchError, match="--strength: got --robot sim, allowed is emulated"):
+        options(strength="weak").check()
 
 
 def test_a_recorder_that_is_told_where_to_record_leaves_the_store_s_folder_to_others(tmp_path):
@@ -172,5 +175,5 @@ def test_a_model_that_there_is_not_is_refused_before_anything_starts(tmp_path):
 @pytest.mark.parametrize("folder", ["/proc/rollouts", "file/rollouts"])
 def test_a_folder_that_cannot_hold_recordings_is_refused_before_anything_starts(folder, tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(LaunchError, match=r"--bags: .*cannot be used for recordings .*choose another folder"):
+    with pytest.raises(LaunchError, match=r"cannot be used for recordings .*choose another folder"):
         GraphOptions(store=tmp_path, recordings=tmp_path / folder).check()

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tcbi_bringup.commands import train
-from tcbi_bringup.errors import BringupError
+from tcbi_bringup.errors import BringupError, WrongCallError
 from tcbi_policy.artefact import Policy, find_policy, save_policy
 from tcbi_sim.store import ModelStore
 
@@ -38,6 +38,14 @@ def test_what_a_policy_was_trained_with_stays_unless_something_else_is_asked_for
     train.add_arguments(parser)
     run = train.plan(parser.parse_args(["--task", "balance", *words]), ModelStore(tmp_path))
     assert (run.config.observation_noise, run.config.effects) == (noise, effects)
+
+
+@pytest.mark.parametrize("out", ["..", ".", "/", ".safetensors", "files/..", "files/.safetensors", ".hidden"])
+def test_a_policy_without_a_name_is_refused_before_the_training(out: str, tmp_path: Path) -> None:
+    parser = argparse.ArgumentParser()
+    train.add_arguments(parser)
+    with pytest.raises(WrongCallError, match=r"--out: got .*, allowed is a name"):
+        train.plan(parser.parse_args(["--task", "balance", "--out", out]), ModelStore(tmp_path))
 
 
 def test_a_log_that_cannot_be_copied_is_one_line_after_the_policy_is_kept(

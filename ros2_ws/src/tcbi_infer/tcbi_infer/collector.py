@@ -211,6 +211,7 @@ class Collector:
             await Until(lambda: node.get_clock().now().nanoseconds >= end, 0.05)
         if request.policy != NO_POLICY:
             await self._set_policy(False)
+        node.takes_distance = True
         self._tell(goal, index, request.number, 0.0)
 
     def _acting(self, request: Request) -> str:

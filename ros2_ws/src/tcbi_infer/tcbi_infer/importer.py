@@ -224,10 +224,10 @@ def _commands(tables: _Tables, mapping: Mapping, zero: int, end: int, notes: lis
 
     One that repeats the command before it says nothing and is left out.
     """
-    signal = mapping.command
+    signal, none = mapping.command, Commands(np.empty(0), np.empty((0, len(mapping.joints))))
     if signal is None:
         notes.append("the mapping names no command: nothing can be simulated again with the same commands")
-        return Commands(np.empty(0), np.empty((0, len(mapping.joints))))
+        return none
     stamp = _stamps(tables, signal, mapping)
     target = _rows(tables, signal, mapping)
     on = _torque_on(tables, mapping, len(stamp))
@@ -236,6 +236,9 @@ def _commands(tables: _Tables, mapping: Mapping, zero: int, end: int, notes: lis
     stamp, target, on = stamp[finite][order], target[finite][order], on[finite][order]
     effective = stamp < end
     stamp, target, on = stamp[effective], target[effective], on[effective]
+    if not stamp.size:
+        notes.append("no command before the last sample: nothing can be simulated again with the same commands")
+        return none
     started = np.flatnonzero(stamp <= zero)
     if started.size:  # what was in force when the first sample was taken
         stamp, target, on = stamp[started[-1] :].copy(), target[started[-1] :], on[started[-1] :]
@@ -262,7 +265,7 @@ def _readings(tables: _Tables, mapping: Mapping, zero: int) -> Readings:
         values = _numbers(tables, signal, signal.columns[0]) * np.asarray(signal.scale)
         stamp = _stamps(tables, signal, mapping)
         there = np.isfinite(values)
-        order = ordered(key, stamp[there], []) if there.any() else np.empty(0, int)
+        order = ordered(key, stamp[there], [])
         found[key] = (stamp[there][order] - zero) / 1e9, values[there][order]
     return found
 

@@ -8,6 +8,8 @@ import dataclasses
 
 import numpy as np
 
+from tcbi_contract.wording import counted
+from tcbi_infer.errors import MappingError
 from tcbi_infer.readings import shifted, within
 from tcbi_sim.measurement import Commands, Measurement
 
@@ -18,13 +20,30 @@ FEWEST = 5  # samples that a speed is measured from
 
 
 def pieces(m: Measurement, window: float) -> list[Measurement]:
-    """Rollouts of `window` s, in order, named after the recording with a number."""
-    count = max(1, int((m.scenario.duration + (1 - LEAST) * window) / window))
-    return [_piece(m, k * window, min((k + 1) * window, m.scenario.duration), k + 1) for k in range(count)]
+    """Rollouts of `window` s, in order, named after the recording with a number.
+
+    A window with fewer than two samples, in a gap of the recording, is left out, and the others' notes say so.
+
+    Raises:
+      MappingError: no window holds two samples.
+    """
+    cuts: dict[int, np.ndarray] = {}
+    count = 0
+    if window >= np.diff(m.time).min():
+        count = max(1, int((m.scenario.duration + (1 - LEAST) * window) / window))
+        for k in map(int, np.unique(m.time // window)):
+            inside = (m.time >= k * window) & (m.time <= min((k + 1) * window, m.scenario.duration))
+            if k < count and inside.sum() > 1:
+                cuts[k + 1] = inside
+    if not cuts:
+        raise MappingError(f"{m.rollout_id}: no window of {window:g} s holds two samples; make it longer (--window)")
+    if len(cuts) < count:
+        empty = counted(count - len(cuts), "window")
+        m = dataclasses.replace(m, notes=(*m.notes, f"{empty} of {window:g} s with fewer than two samples left out"))
+    return [_piece(m, inside, number) for number, inside in cuts.items()]
 
 
-def _piece(m: Measurement, begin: float, end: float, number: int) -> Measurement:
-    inside = (m.time >= begin) & (m.time <= end)
+def _piece(m: Measurement, inside: np.ndarray, number: int) -> Measurement:
     zero = float(m.time[inside][0])
     position, velocity = _state(m, zero)
     scenario = dataclasses.replace(
@@ -61,6 +80,6 @@ def _commands(whole: Commands, zero: float, duration: float) -> Commands:
     first = int(before[-1]) if before.size else 0
     chosen = slice(first, int(np.searchsorted(whole.time, zero + duration)))
     time = np.round(np.maximum(whole.time[chosen] - zero, 0.0), COMMAND_DIGITS)
-    last = np.append(np.diff(time) > 0, True)  # of the commands within a millisecond
+    last = np.diff(time, append=np.inf) > 0  # of the commands within a millisecond
     on = None if whole.torque_on is None else whole.torque_on[chosen][last]
     return Commands(time[last], whole.target[chosen][last], whole.ramp, on)

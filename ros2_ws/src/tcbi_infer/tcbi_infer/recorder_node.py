@@ -95,6 +95,7 @@ class RecorderNode(Node):
         self.bags: list[Path] = []
         self.poses: list[bytes] = []  # first and newest of the present rollout
         self.distance: float | None = None  # the operator's entry
+        self.takes_distance = False  # the robot has come to the rollout's end
         self.policy_id = ""  # of the policy that is loaded, as far as it is known
         self._foreign_end: bytes | None = None
         self._newest: dict[str, bytes] = {}  # by topic
@@ -183,7 +184,8 @@ class RecorderNode(Node):
         self.policy_id = message.data
 
     def _on_distance(self, message: Float64) -> None:
-        self.distance = float(message.data)
+        if self.takes_distance:  # one that comes too late is not the next rollout's
+            self.distance = float(message.data)
 
     # -- rollouts -------------------------------------------------------------------------------------------------
 
@@ -210,7 +212,8 @@ class RecorderNode(Node):
 
     def open(self, folder: RecordingFolder, rollout_id: str, begin: int, data: bytes, end: int | None = None) -> None:
         """Begin a bag; a failure is said and shown in diagnostics."""
-        self.distance, self._foreign_end, self.commanded_ns, self.commanded = None, None, begin, False
+        self.distance, self.takes_distance, self._foreign_end = None, False, None
+        self.commanded_ns, self.commanded = begin, False
         last = self._newest.get(self.resolve_topic_name(names.TRACKER_POSE), b"")
         self.poses = [last] if (stamp_of(last) or 0) >= begin else []  # a simulation that waits has shown its start
         try:

@@ -20,7 +20,7 @@ from tcbi_contract import messages, names
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_contract.wording import counted
-from tcbi_infer.errors import BagError
+from tcbi_infer.errors import BagError, InferError
 from tcbi_infer.interfaces import STREAMS
 from tcbi_infer.player import Cue, schedule
 from tcbi_msgs.msg import RolloutEvent
@@ -81,9 +81,19 @@ class ReplayNode(Node):
         return self.create_publisher(kind, name, _qos(name))
 
     def _ready(self) -> bool:
+        """Whether enough nodes listen.
+
+        Raises:
+          InferError: they do not come in time.
+        """
         listened = self._publishers_of.get(names.JOINT_STATES) or next(iter(self._publishers_of.values()))
-        enough = listened.get_subscription_count() >= self.values.wait_for
-        return enough or time.monotonic() - self._made > self.values.wait_timeout_s
+        there, wanted = listened.get_subscription_count(), self.values.wait_for
+        if there < wanted and time.monotonic() - self._made > self.values.wait_timeout_s:
+            raise InferError(
+                f"{there} of {counted(wanted, 'node')} listen to {listened.topic_name} after "
+                f"{self.values.wait_timeout_s:g} s; start them, or wait for fewer (--wait-for)"
+            )
+        return bool(there >= wanted)
 
     def _on_time(self) -> None:
         if self.finished:

@@ -8,6 +8,7 @@ from bag_cases import differences, rollout
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -223,6 +224,35 @@ def test_the_readable_part_of_a_large_unfinished_chunk_is_saved(tmp_path, compre
     assert len(saved) > 400
     assert [m.log_time for m in saved] == list(range(len(saved)))
     assert scan.damage == ["the file ends inside a record"]
+
+
+def test_every_channel_keeps_its_own_encoding_and_type(tmp_path):
+    path = tmp_path / "lab.mcap"
+    channels = (  # two types on one topic, bytes that are no text, no schema at all
+        ("/text", "cdr", ("std_msgs/msg/String", "ros2msg", b"string data # \xb0C")),
+        ("/text", "cdr", ("std_msgs/msg/Bool", "ros2msg", b"bool data")),
+        ("/scene", "protobuf", ("foxglove.Scene", "protobuf", b"\x0a\xff\x00scene")),
+        ("/note", "json", None),
+        ("/other", "cdr", ("lab_msgs/msg/Own", "", b"")),
+    )
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros2")
+        ids = [
+            writer.register_channel(topic, encoding, writer.register_schema(*schema) if schema else 0)
+            for topic, encoding, schema in channels
+        ]
+        for i in range(10):
+            writer.add_message(ids[i % 5], i, bytes([i]), i)
+        writer.finish()
+    path.write_bytes(path.read_bytes()[:-3])
+    assert recover(path).messages == 10
+    with path.open("rb") as file:
+        found = list(make_reader(file).iter_messages())
+    assert [
+        (c.topic, c.message_encoding, (s.name, s.encoding, s.data) if s else None) for s, c, _ in found
+    ] == 2 * list(channels)
+    assert [message.data for _, _, message in found] == [bytes([i]) for i in range(10)]
 
 
 def test_another_format_is_named(tmp_path):

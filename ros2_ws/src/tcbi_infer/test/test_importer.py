@@ -218,6 +218,27 @@ def test_a_wrong_log_is_said_in_one_line(tmp_path, content, words):
         read_log(load_mapping("xl330_bench"), path)
 
 
+@pytest.mark.parametrize("rows", [[], ["20,3,3"], ["0,,", "5,,"]])
+def test_a_log_without_a_command_in_its_time_is_a_rollout_without_commands(tmp_path, rows):
+    text = CSV_MAPPING.replace("[command]", '[command]\nfile = "commands.csv"').replace(
+        "[position]", '[position]\nfile = "states.csv"'
+    )
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "states.csv").write_text("t,qa,qb\n0,90,180\n10,0,0\n")
+    (folder / "commands.csv").write_text("\n".join(["t,ta,tb", *rows]))
+    m = read_log(load_mapping(mapping_file(tmp_path, text)), folder)
+    assert not len(m.commands.time)
+    assert "no command before the last sample: nothing can be simulated again" in " ".join(m.notes)
+
+
+def test_a_log_that_is_only_a_header_holds_no_samples(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,qa,qb,ta,tb\n")
+    with pytest.raises(MappingError, match="holds 0 samples"):
+        read_log(load_mapping(mapping_file(tmp_path, CSV_MAPPING)), path)
+
+
 def damaged_gzip(text: str) -> bytes:
     packed = bytearray(gzip.compress(text.encode(), mtime=0))
     packed[10] |= 0b110  # a kind of block that there is not

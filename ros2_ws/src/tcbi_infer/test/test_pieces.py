@@ -9,6 +9,7 @@ from bag_cases import differences
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.compare.replicates import find_replicates
+from tcbi_infer.errors import MappingError
 from tcbi_infer.importer import read_rollouts
 from tcbi_infer.mapping import load_mapping
 from tcbi_infer.pieces import pieces
@@ -62,6 +63,33 @@ def test_of_commands_within_a_millisecond_the_last_one_counts():
     part = pieces(dataclasses.replace(whole, commands=fast), 1.0)[1]
     assert len(part.commands.time) == 1001 and (np.diff(part.commands.time) > 0).all()
     assert np.abs(part.commands.target[:, 0] * 0.0002 - 1.0 - part.commands.time).max() < 0.001
+
+
+def test_a_window_in_a_gap_is_left_out_and_said():
+    whole = recording()
+    there = (whole.time < 1.0) | (whole.time > 2.0)
+    gap = dataclasses.replace(whole, time=whole.time[there], joint_position=whole.joint_position[there])
+    parts = pieces(gap, 0.8)
+    assert [p.rollout_id for p in parts] == ["swing-01", "swing-02", "swing-03", "swing-04"]
+    parts = pieces(gap, 0.4)
+    assert [p.rollout_id[-2:] for p in parts] == ["01", "02", "03", "06", "07", "08"]
+    assert all(p.notes == ("2 windows of 0.4 s with fewer than two samples left out",) for p in parts)
+
+
+@pytest.mark.parametrize("window", [0.001, 5e-324])
+def test_windows_shorter_than_the_samples_period_are_refused(window):
+    with pytest.raises(MappingError, match=r"swing: no window of .* s holds two samples; make it longer"):
+        pieces(recording(), window)
+
+
+def test_a_piece_before_the_first_command_has_none(tmp_path):
+    whole = recording(torque_on=np.array([True, False, True, True]))
+    late = dataclasses.replace(whole.commands, time=whole.commands.time + 1.0)
+    parts = pieces(dataclasses.replace(whole, commands=late), 1.0)
+    assert [len(p.commands.time) for p in parts] == [0, 2, 2]
+    assert not len(read_measurement(write_measurement(tmp_path, parts[0])).commands.time)
+    none = dataclasses.replace(whole, commands=Commands(np.empty(0), np.empty((0, 1))))
+    assert not len(pieces(none, 1.0)[1].commands.time)
 
 
 def test_a_piece_survives_its_bag(tmp_path):

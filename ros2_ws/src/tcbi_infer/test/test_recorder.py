@@ -1,11 +1,13 @@
 """What is recorded is what bears a stamp between BEGIN and END; a full disk costs the last moments of one rollout."""
 
+import contextlib
 import errno
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -197,6 +199,23 @@ def test_a_disk_that_is_full_at_the_very_end_frees_the_recorder(folder, recorder
     assert recorder.rollout is None
     assert len(read_measurement(folder.path / "walk_1").time) == len(feed.case.time)
     Feed(rollout("walk_2")).record(recorder, folder)
+
+
+def test_a_disk_that_fails_altogether_is_one_line_and_frees_the_recorder(folder, recorder, monkeypatch):
+    def fail(*_: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    feed = Feed(rollout(samples=400))
+    recorder.begin(folder, "walk_1", feed.begin, feed.first, feed.end)
+    whole = recorder.rollout.bag._file
+    broken = SimpleNamespace(write=fail, truncate=fail, close=fail)
+    with contextlib.closing(whole._file):
+        monkeypatch.setattr(whole, "_file", broken)
+        monkeypatch.setattr(Path, "rename", fail)
+        with pytest.raises(RecordingError, match=r"Input/output error.*make room"):
+            feed.into(recorder)
+    assert recorder.rollout is None
+    assert (folder.path / "walk_1.recording" / "walk_1_0.mcap").is_file()
 
 
 def test_too_little_room_is_said_before_a_rollout_is_wasted(folder):

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tcbi_bringup.arguments import at_least
+from tcbi_bringup.arguments import at_least, namespace
 from tcbi_bringup.commands import console
-from tcbi_bringup.errors import WrongCallError
+from tcbi_bringup.errors import BringupError, WrongCallError
 
 SUMMARY = "Record rollouts of a task, one bag each, from the running graph or from one that is started for it."
 READY_S = 40.0  # for the nodes to be there
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--place", action="store_true", help="say what ground to set before each rollout, and wait for Enter"
     )
-    parser.add_argument("--namespace", default="", help="of the graph")
+    parser.add_argument("--namespace", type=namespace, default="", help="of the graph")
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(
@@ -114,10 +114,12 @@ def run(args: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]]:
     """The graph to record from, nothing to do for one that runs; yields what raises if a process of it has failed."""
+    if args.realtime and args.robot != "sim":
+        raise WrongCallError(f"--realtime: got --robot {args.robot}, allowed is sim; a robot has no other time")
     if args.robot == "running":
-        if args.hidden:
+        if args.hidden or args.strength:
             raise WrongCallError(
-                "--hidden: got --robot running, allowed is emulated; that robot is built for this call"
+                "--hidden and --strength: got --robot running, allowed is emulated; that robot is built for this call"
             )
         if args.sensor_port or args.calibration or args.baud_rate or args.sensor_baud_rate:
             raise WrongCallError(
@@ -196,23 +198,30 @@ def _place(request: Any) -> None:
             f"  block {s.x:.2f} x {s.y:.2f} x {s.z:.2f} m, its middle {c.x:.2f} m ahead and {c.y:.2f} m to the left, "
             f"turned by {math.degrees(block.yaw):.0f} degrees"
         )
-    print(
-        "place the robot, then press Enter; if it has gone limp, it moves into its posture then: ",
-        end="",
-        file=sys.stderr,
-        flush=True,
-    )
-    sys.stdin.readline()
+    _answer("place the robot, then press Enter; if it has gone limp, it moves into its posture then: ")
 
 
 def _ask_distance(rollout_id: str) -> float:
     """What the operator measured, m."""
     while True:
-        print(f"{rollout_id}: distance in m (empty if unknown): ", end="", file=sys.stderr, flush=True)
-        answer = sys.stdin.readline().strip()
+        answer = _answer(f"{rollout_id}: distance in m (empty if unknown): ")
         if not answer:
             return math.nan
-        try:
-            return float(answer)
-        except ValueError:
-            console.note(f"{answer!r} is no number")
+        with contextlib.suppress(ValueError):
+            if math.isfinite(distance := float(answer)):
+                return distance
+        console.note(f"{answer!r} is no number of metres")
+
+
+def _answer(question: str) -> str:
+    """The line that the operator types.
+
+    Raises:
+      BringupError: there is nobody to ask.
+    """
+    print(question, end="", file=sys.stderr, flush=True)
+    line = sys.stdin.readline() if sys.stdin else ""
+    if not line:
+        print(file=sys.stderr)
+        raise BringupError("standard input has ended, so nobody can answer --place or --ask-distance; use a terminal")
+    return line.strip()

@@ -72,7 +72,7 @@ def graph_options(args: argparse.Namespace, **more: Any) -> "GraphOptions":
         robot=args.robot,
         task=args.task,
         model=args.model or "latest",
-        namespace=args.namespace.strip("/"),
+        namespace=args.namespace,
         store=store_folder(args.store),
         seed=args.seed,
         sensor_port=args.sensor_port,
@@ -98,7 +98,7 @@ def add_hidden(parser: argparse.ArgumentParser) -> None:
         f"none; docs/emulated_robot.md lists them (default: drawn from the seed: {', '.join(DRAWN)})",
     )
     parser.add_argument(
-        "--strength", choices=STRENGTHS, default=STRENGTHS[0], help=f"of what is hidden (default: {STRENGTHS[0]})"
+        "--strength", choices=STRENGTHS, default="", help=f"of what is hidden (default: {STRENGTHS[0]})"
     )
 
 
@@ -249,10 +249,10 @@ def json_only() -> Iterator[None]:
 def emit(result: Any) -> None:
     """Print one JSON object to standard output."""
     text = json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False)
+    data = f"{text}\n".encode(errors="backslashreplace")  # a file's name may be no text
     if not _answer_to:
-        print(text, flush=True)
+        print(data.decode(), end="", flush=True)
         return
-    data = f"{text}\n".encode()
     while data:
         data = data[os.write(_answer_to[-1], data) :]
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from tcbi_bringup.arguments import between
+from tcbi_bringup.arguments import between, namespace
 from tcbi_bringup.commands import console
 
 SUMMARY = "Serve the loop as a web page: live graph, comparison, diagnosis, adding effects, reports."
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--allow-motion", action="store_true", help="with --host: let the page move the robot, not only stop it"
     )
     parser.add_argument("--open", action="store_true", help="open it in a browser")
-    parser.add_argument("--namespace", default="", help="of the graph to show")
+    parser.add_argument("--namespace", type=namespace, default="", help="of the graph to show")
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(

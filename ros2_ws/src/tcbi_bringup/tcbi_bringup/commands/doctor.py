@@ -2,6 +2,7 @@
 
 import argparse
 
+from tcbi_bringup.arguments import namespace
 from tcbi_bringup.commands import console
 from tcbi_contract.wording import counted
 
@@ -17,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "see which ports are there and free",
     )
     console.add_robot_link(parser)
-    parser.add_argument("--namespace", default="", help="of the running graph")
+    parser.add_argument("--namespace", type=namespace, default="", help="of the running graph")
     parser.add_argument("--no-graph", action="store_true", help="leave out the running graph (saves seven seconds)")
     console.add_store(parser)
     console.add_json(parser)
@@ -34,11 +35,13 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_bringup.graph_check import graph_checks
     from tcbi_contract.check import FAULT, WARNING
 
-    if args.sensor_port and not args.port:
-        raise WrongCallError("--sensor-port: got it without --port; give the servo bus's port with --port")
+    link = (args.sensor_port, args.calibration, args.baud_rate, args.sensor_baud_rate)
+    options = ("--sensor-port", "--calibration", "--baud-rate", "--sensor-baud-rate")
+    for option, value in zip(options, link, strict=True):
+        if value and not args.port:
+            raise WrongCallError(f"{option}: got it without --port; give the servo bus's port with --port")
     checks = [*environment_checks(console.store_folder(args.store))]
-    link = (args.port, args.sensor_port, args.calibration, args.baud_rate, args.sensor_baud_rate)
-    checks += robot_checks(*link) if args.port else port_checks()
+    checks += robot_checks(args.port, *link) if args.port else port_checks()
     if not args.no_graph and not any(c.name in ("interfaces", "domain") and c.status == FAULT for c in checks):
         checks += graph_checks(present_domain(), args.namespace)
     faults = sum(c.status == FAULT for c in checks)

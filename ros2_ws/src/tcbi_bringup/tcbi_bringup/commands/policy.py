@@ -6,6 +6,7 @@ from typing import Any
 
 from tcbi_bringup.arguments import at_least
 from tcbi_bringup.commands import console
+from tcbi_bringup.errors import WrongCallError
 
 UNITS = {
     **{"cpu_s": "s", "mean_return": "points", "sd_return": "points"},
@@ -50,6 +51,8 @@ def run(args: argparse.Namespace) -> int:
 
     store = ModelStore(args.store)
     if not args.policy:
+        if args.onnx or args.measure:
+            raise WrongCallError("--onnx and --measure: got no policy; name one that ./tcbi policy lists")
         return _list(args, store.root)
     policy = find_policy(args.policy, store.root)
     facts = _facts(policy)

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from tcbi_bringup.arguments import above, at_least
+from tcbi_bringup.arguments import between, namespace
 from tcbi_bringup.commands import console
 
 SUMMARY = "Play a bag into the graph: the same bytes on the same topics, with /clock, at any speed."
@@ -13,15 +13,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to play, and how fast."""
     parser.add_argument("bag", type=Path, help="a bag's folder or an .mcap file; a cut-off one plays as far as it goes")
     parser.add_argument(
-        "--rate", type=above(0.0), default=1.0, help="speed; 2 is twice as fast as recorded (default: 1)"
+        "--rate", type=between(0.01, 1000.0), default=1.0, help="speed; 2 is twice as fast as recorded (default: 1)"
     )
     parser.add_argument("--loop", action="store_true", help="start again at the end")
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these, e.g. joint_states imu/data"
     )
-    parser.add_argument("--namespace", default="", help="put before every topic")
+    parser.add_argument("--namespace", type=namespace, default="", help="put before every topic")
     parser.add_argument(
-        "--wait-for", type=at_least(0), default=0, metavar="N", help="begin once N nodes listen to joint_states"
+        "--wait-for", type=between(0, 100), default=0, metavar="N", help="begin once N nodes listen to joint_states"
     )
     parser.add_argument(
         "--drive", action="store_true", help="play joint_commands although a robot or a simulation listens: it moves"
@@ -48,12 +48,12 @@ def run(args: argparse.Namespace) -> int:
     ask_for_prompt_acks()  # before anything starts the middleware
     plan = schedule(args.bag, tuple(args.topics))
     if names.JOINT_COMMANDS in plan.topics and not args.drive:
-        refuse_to_drive(args.namespace.strip("/"))
+        refuse_to_drive(args.namespace)
     messages, seconds = counted(len(plan.cues), "message"), (plan.end - plan.start) * 1e-9
     console.note(f"playing {messages} over {seconds:.1f} s at {args.rate:g} times the recorded speed")
     parameters = {
         "bag": str(args.bag),
-        "rate": float(args.rate),
+        "rate": args.rate,
         "loop": args.loop,
         "topics": " ".join(args.topics),
         "wait_for": args.wait_for,
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     }
     words = ["--ros-args"]
     for name, value in parameters.items():
-        words += ["-p", f"{name}:={json.dumps(value)}"]
+        words += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
     if args.namespace:
-        words += ["-r", f"__ns:=/{args.namespace.strip('/')}"]
+        words += ["-r", f"__ns:=/{args.namespace}"]
     return main(words)

@@ -9,7 +9,7 @@ from typing import Any
 
 from tcbi_bringup.arguments import above, at_least, seed
 from tcbi_bringup.commands import console
-from tcbi_bringup.errors import BringupError
+from tcbi_bringup.errors import BringupError, WrongCallError
 
 SUMMARY = "Train a policy for a task in simulations drawn from a model; a run that was interrupted goes on."
 
@@ -88,6 +88,7 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
 
     Raises:
       TcbiError: an unknown task, preset, model, effect or policy.
+      WrongCallError: `--out` gives the policy no name.
     """
     from tcbi_policy.artefact import Policy, find_policy
     from tcbi_policy.configuration import check_start, preset
@@ -95,6 +96,11 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     from tcbi_policy.retraining import fine_tuning, randomisation_of
     from tcbi_policy.runs import Run
 
+    name = Path(args.out).name
+    if args.out and (not name or name.startswith(".")):
+        raise WrongCallError(
+            f"--out: got {args.out!r}, allowed is a name, or a path that ends in one; it begins with no dot"
+        )
     config, model = preset(args.preset, args.task), store.load(args.model)
     changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "prior": args.prior}
     if args.start:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tcbi_bringup.arguments import at_least, folder_path
+from tcbi_bringup.arguments import at_least, folder_path, namespace
 from tcbi_bringup.commands import console
 
 SUMMARY = "Start the graph of nodes on a simulation, an emulated robot or a real one; Ctrl-C stops all of it."
@@ -24,7 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     console.add_model(parser, "model version to simulate, and to infer the parameters of")
     parser.add_argument("--lockstep", action="store_true", help="simulate as fast as it goes, with /clock (sim only)")
-    parser.add_argument("--namespace", default="", help="put before every topic, for several robots in one domain")
+    parser.add_argument(
+        "--namespace", type=namespace, default="", help="put before every topic, for several robots in one domain"
+    )
     parser.add_argument(
         "--seed", type=at_least(0), default=0, help="of the simulation or the emulated robot (default: 0)"
     )

@@ -3,6 +3,7 @@
 The original is kept beside it, with `.damaged` in its name. A bag that nothing ails is left alone.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +12,8 @@ import yaml
 
 from tcbi_infer.bags import schemas
 from tcbi_infer.bags.files import ASIDE, bag_name, is_recording, mcap_files, set_aside
-from tcbi_infer.bags.scan import Channel, Message, Scan
-from tcbi_infer.bags.writer import UNFINISHED, BagWriter, offered_qos
+from tcbi_infer.bags.scan import CDR, Channel, Message, Scan
+from tcbi_infer.bags.writer import UNFINISHED, BagWriter, Topic, offered_qos
 from tcbi_infer.errors import BagError
 
 
@@ -89,12 +90,12 @@ def _rewrite(files: list[Path], parent: Path, final: Path, is_folder: bool) -> P
     if workshop.exists():
         _remove(workshop)
     with BagWriter(workshop, name) as writer:
-        known: set[str] = set()
+        known: dict[Channel, Topic] = {}
         for message in _messages(files):
-            if message.channel.topic not in known:
-                _register(writer, message.channel)
-                known.add(message.channel.topic)
-            writer.write(message.channel.topic, message.log_time, message.data, message.publish_time)
+            kind = dataclasses.replace(message.channel, metadata=())  # which may differ from file to file
+            if kind not in known:
+                known[kind] = _register(writer, message.channel)
+            writer.append(known[kind], message.log_time, message.data, message.publish_time)
     if is_folder:
         bag = parent / f".{name}.recovered"
         if bag.exists():
@@ -113,25 +114,27 @@ def _messages(files: list[Path]) -> Iterator[Message]:
         yield from Scan(file).messages()
 
 
-def _register(writer: BagWriter, channel: Channel) -> None:
+def _register(writer: BagWriter, channel: Channel) -> Topic:
     metadata = dict(channel.metadata)
     try:
         profiles = yaml.safe_load(metadata.get("offered_qos_profiles", "")) or None
     except yaml.YAMLError:
         profiles = None
-    definition = channel.definition
-    writer.add_topic(
+    return writer.add_topic(
         channel.topic,
         channel.message_type,
-        definition,
+        channel.definition,
         channel.schema_encoding,
         metadata.get("topic_type_hash") or _hash(channel),
         profiles if isinstance(profiles, list) else offered_qos(channel.topic),
+        channel.message_encoding,
     )
 
 
 def _hash(channel: Channel) -> str:
-    """The hash of a type that the recording does not name; empty where its definition cannot be parsed."""
+    """The hash of a type that the recording does not name; empty where its definition cannot be parsed, or is none."""
+    if channel.message_encoding != CDR:
+        return ""
     try:
         return schemas.store_for(channel.message_type, channel.schema_encoding, channel.definition).hash_rihs01(
             channel.message_type

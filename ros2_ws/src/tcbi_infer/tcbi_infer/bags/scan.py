@@ -25,6 +25,8 @@ from mcap.records import Chunk, Header, Metadata, Schema
 from tcbi_infer.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
+CDR = "cdr"  # how ROS 2 encodes messages
+UNDECODED = "surrogateescape"  # for the bytes of a definition that are no text, so that they can be written again
 RECORD_LIMIT = 1 << 32  # bytes; a longer record is damage, not data
 _MESSAGE = struct.Struct("<HIQQ")
 _FAULTS = (  # of damaged content; a damaged length may be too large for an integer, or for the memory
@@ -151,7 +153,7 @@ class Scan:
             message_type=schema.name if schema else "",
             message_encoding=record.message_encoding,
             schema_encoding=schema.encoding if schema else "",
-            definition=schema.data.decode("utf-8", "replace") if schema else "",
+            definition=schema.data.decode(errors=UNDECODED) if schema else "",
             metadata=tuple(record.metadata.items()),
         )
 

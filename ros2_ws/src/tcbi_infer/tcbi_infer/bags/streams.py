@@ -15,7 +15,7 @@ from tcbi_contract import names
 from tcbi_contract.wording import counted
 from tcbi_infer.bags import schemas
 from tcbi_infer.bags.files import mcap_files
-from tcbi_infer.bags.scan import Channel, Message, Scan
+from tcbi_infer.bags.scan import CDR, Channel, Message, Scan
 from tcbi_infer.errors import BagError
 
 JUMP_S = 0.5  # s back in time: less is messages overtaking each other, more is a clock that was set
@@ -157,7 +157,7 @@ def _optional(name: str, messages: list[Message]) -> list[Record]:
 
 
 def _decoded(channel: Channel, data: bytes) -> Any:
-    if channel.message_encoding != "cdr":
+    if channel.message_encoding != CDR:
         raise BagError(f"{channel.topic}: its messages are {channel.message_encoding!r}, allowed is 'cdr' of ROS 2")
     return schemas.decode(data, channel.message_type, channel.schema_encoding, channel.definition)
 
@@ -204,6 +204,8 @@ def ordered(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
     Where a clock was set back, the longest stretch before or after is kept. Messages that overtook each other are
     sorted. Of samples with one stamp the first is kept.
     """
+    if not len(stamp):
+        return np.empty(0, int)
     order = longest_stretch(name, stamp, notes)
     moved = int(np.sum(np.diff(stamp[order]) < 0))
     order = order[np.argsort(stamp[order], kind="stable")]

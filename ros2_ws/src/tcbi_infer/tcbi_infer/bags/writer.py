@@ -8,7 +8,9 @@ Chunks of some 32 KiB reach the operating system as soon as they are full, or at
 a row of complete chunks at any moment. Not safe for several threads.
 """
 
+import contextlib
 import os
+import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +24,7 @@ from mcap.writer import Writer as McapWriter
 
 from tcbi_contract import names
 from tcbi_infer.bags import schemas
+from tcbi_infer.bags.scan import CDR, UNDECODED
 from tcbi_infer.errors import BagError, RecordingError
 
 CHUNK_SIZE = 32 * 1024  # bytes; about half a second of the robot's topics
@@ -53,9 +56,13 @@ def offered_qos(topic: str) -> list[dict[str, Any]]:
 
 
 @dataclass
-class _Topic:
+class Topic:
+    """What is known of a topic that is being written; one on which two types were recorded is there twice."""
+
+    name: str
     channel: int
     message_type: str
+    message_encoding: str
     type_hash: str
     qos: list[dict[str, Any]]
     count: int = 0
@@ -68,7 +75,7 @@ class _Span:
     first: int = 2**63 - 1
     last: int = 0
     count: int = 0
-    by_topic: dict[str, _Topic] = field(default_factory=dict)
+    topics: list[Topic] = field(default_factory=list)
 
 
 class WholeFile:
@@ -90,7 +97,8 @@ class WholeFile:
             while view:
                 view = view[self._file.write(view) :]
         except OSError as e:
-            self._file.truncate(self._size)
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._size)
             raise RecordingError(
                 f"{self.path}: cannot be written any more ({e.strerror}); what was recorded before is kept; "
                 "make room on the disk"
@@ -126,6 +134,7 @@ class BagWriter:
         self.working_path = folder / (name + UNFINISHED)
         self._custom = dict(custom or {})
         self._span = _Span()
+        self._by_name: dict[str, Topic] = {}
         for path in (self.path, self.working_path):
             if path.exists():
                 raise BagError(f"{path} exists already; move it away or choose another name")
@@ -156,23 +165,31 @@ class BagWriter:
         encoding: str = "ros2msg",
         type_hash: str = "",
         qos: Sequence[dict[str, Any]] | None = None,
-    ) -> None:
+        message_encoding: str = CDR,
+    ) -> Topic:
         """Register a topic; a type of the contract needs no definition.
 
         Args:
           topic: full name, with namespace.
           definition: schema text with every nested type.
           qos: offered profiles; None for the contract's.
+
+        Returns: what `append` takes.
         """
-        text = definition or schemas.definition(message_type)
+        ours = not definition and message_encoding == CDR and message_type in schemas.MESSAGES.values()
+        text = schemas.definition(message_type) if ours else definition
         profiles = list(offered_qos(topic) if qos is None else qos)
-        code = type_hash if definition else schemas.type_hash(message_type)
-        schema = self._mcap.register_schema(message_type, encoding, text.encode())
+        code = schemas.type_hash(message_type) if ours else type_hash
+        no_schema = not message_type and not text  # as JSON may be
+        schema = 0 if no_schema else self._mcap.register_schema(message_type, encoding, text.encode(errors=UNDECODED))
         metadata = {"offered_qos_profiles": yaml.safe_dump(profiles, sort_keys=False)}
         if code:
             metadata["topic_type_hash"] = code
-        channel = self._mcap.register_channel(topic, "cdr", schema, metadata)
-        self._span.by_topic[topic] = _Topic(channel, message_type, code, profiles)
+        channel = self._mcap.register_channel(topic, message_encoding, schema, metadata)
+        entry = Topic(topic, channel, message_type, message_encoding, code, profiles)
+        self._span.topics.append(entry)
+        self._by_name[topic] = entry
+        return entry
 
     def write(self, topic: str, log_time: int, data: bytes, publish_time: int | None = None) -> None:
         """Append one serialized message; a topic of the contract registers itself.
@@ -180,10 +197,11 @@ class BagWriter:
         Args:
           log_time, publish_time: ns.
         """
-        entry = self._span.by_topic.get(topic)
-        if entry is None:
-            self.add_topic(topic, contract_type(topic))
-            entry = self._span.by_topic[topic]
+        entry = self._by_name.get(topic) or self.add_topic(topic, contract_type(topic))
+        self.append(entry, log_time, data, publish_time)
+
+    def append(self, entry: Topic, log_time: int, data: bytes, publish_time: int | None = None) -> None:
+        """Append one serialized message to a topic that is registered; times as for `write`."""
         log_time = max(log_time, 0)
         published = log_time if publish_time is None else max(publish_time, 0)
         self._mcap.add_message(entry.channel, log_time, data, published, entry.count)
@@ -217,19 +235,21 @@ class BagWriter:
             ) from e
 
     def give_up(self) -> Path:
-        """After a failed write: keep the complete chunks under the final name, without an index; returns it."""
-        self._file.close(to_disk=False)
-        if self.working_path.exists():
+        """After a failed write: keep the complete chunks, without an index, under the final name if the disk allows it.
+
+        Returns: where they are.
+        """
+        with contextlib.suppress(OSError):
+            self._file.close(to_disk=False)
+        with contextlib.suppress(OSError):
             self.working_path.rename(self.path)
-        return self.path
+        return self.path if self.path.exists() else self.working_path
 
     def discard(self) -> None:
-        """Remove everything written so far."""
-        self._file.close(to_disk=False)
-        if self.working_path.exists():
-            for path in self.working_path.iterdir():
-                path.unlink()
-            self.working_path.rmdir()
+        """Remove everything written so far, as far as the disk allows it."""
+        with contextlib.suppress(OSError):
+            self._file.close(to_disk=False)
+        shutil.rmtree(self.working_path, ignore_errors=True)
 
     def _settle(self, metadata: dict[str, Any]) -> Path:
         write_metadata(self.working_path, metadata)
@@ -250,7 +270,7 @@ class BagWriter:
                 "duration": duration,
                 "starting_time": start,
                 "message_count": span.count,
-                "topics_with_message_count": [_topic_entry(topic, entry) for topic, entry in span.by_topic.items()],
+                "topics_with_message_count": [_topic_entry(entry) for entry in span.topics],
                 "compression_format": "",
                 "compression_mode": "",
                 "relative_file_paths": [name],
@@ -306,12 +326,12 @@ def contract_type(topic: str) -> str:
     raise BagError(f"topic {topic!r}: the contract knows {', '.join(schemas.MESSAGES)}; give its type with add_topic")
 
 
-def _topic_entry(topic: str, entry: _Topic) -> dict[str, Any]:
+def _topic_entry(entry: Topic) -> dict[str, Any]:
     return {
         "topic_metadata": {
-            "name": topic,
+            "name": entry.name,
             "type": entry.message_type,
-            "serialization_format": "cdr",
+            "serialization_format": entry.message_encoding,
             "offered_qos_profiles": entry.qos,
             "type_description_hash": entry.type_hash,
         },
