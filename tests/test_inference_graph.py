@@ -1,5 +1,6 @@
 """The inference node in a graph: from finished bags to posterior, error, training, new effects and a diagnosis."""
 
+import json
 import os
 import time
 from pathlib import Path
@@ -203,6 +204,12 @@ def test_a_diagnosis_is_an_action_with_feedback(start_graph, peer, node, tmp_pat
     added = peer.call(names.ADD_EFFECT, AddEffect.Request(effect=fitted, model=f"{RIG}-v0"), AddEffect)
     assert added.success and "as the newest diagnosis fitted it" in added.message, added.message
     assert ModelStore(tmp_path / "store").load(added.model).evidence["kind"] == "diagnosis"
+    (path,) = (tmp_path / "store" / "runs").glob("diagnosis-*.json")
+    found = json.loads(path.read_text())
+    found["agreement"][fitted][-1] |= {"agrees": False, "statement": "The motions disagree on it."}
+    path.write_text(json.dumps(found))
+    refused = peer.call(names.ADD_EFFECT, AddEffect.Request(effect=fitted, model=f"{RIG}-v0"), AddEffect)
+    assert not refused.success and "The motions disagree on it." in refused.message
 
 
 def test_a_model_that_does_not_exist_ends_the_node_with_one_line(start_graph, node):

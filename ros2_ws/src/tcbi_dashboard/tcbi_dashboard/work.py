@@ -88,14 +88,14 @@ def run_diagnose(task: Task, emit: Emit) -> None:
 
 def run_add(task: Task, emit: Emit) -> None:
     """The next version with an effect in it, as a remembered diagnosis fitted it."""
-    from tcbi_infer.diagnose.adopt import adopt
+    from tcbi_infer.diagnose.adopt import offered
     from tcbi_infer.diagnose.adopt import read as read_diagnosis
     from tcbi_infer.report import Report, add_version
 
     store, use = ModelStore(task.store), task.options["use"]
     parent = store.load(task.model)
     Watch(emit)(f"adding {use} to {parent.version}")
-    saved = store.save(adopt(parent, use, read_diagnosis(Path(task.options["diagnosis"]))))
+    saved = store.save(offered(parent, use, read_diagnosis(Path(task.options["diagnosis"]))))
     report = Report(f"{saved.version}: {parent.version} with {use}", "A new model version.")
     add_version(report, parent, saved)
     report.write(store.folder("reports") / f"add-{saved.version}.html")

@@ -1,14 +1,19 @@
 """One job at a time, watched and cancelled."""
 
+import json
 import threading
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tcbi_dashboard.errors import DashboardError
 from tcbi_dashboard.jobs import TITLES, Slot
-from tcbi_dashboard.task import COLLECT, COMPARE, DIAGNOSE, MODULE, Task
-from tcbi_dashboard.work import RUNS, Telling
+from tcbi_dashboard.task import ADD, COLLECT, COMPARE, DIAGNOSE, MODULE, Task
+from tcbi_dashboard.work import RUNS, Telling, run_add
+from tcbi_infer.errors import InferError
+from tcbi_sim.model import base_model
+from tcbi_sim.store import ModelStore
 
 
 class Told:
@@ -135,3 +140,24 @@ def test_a_real_worker_says_why_it_failed(tmp_path):
         if job.ended or deadline.wait(0.1):
             break
     assert "there is no such bag" in job.failed
+
+
+def test_a_size_on_which_the_motions_disagree_is_not_added(tmp_path):
+    store, model = ModelStore(tmp_path), base_model("servo_bench")
+    child = model.with_effect("backlash")
+    spread = (1e-4 * np.eye(len(child.parameters))).tolist()
+    fitted = {
+        "use": "backlash", "refined": True, "accepted": True, "error_after": 1.2, "values": child.mean().tolist(),
+        "spread": spread, "parameters": [{"name": "backlash.gap"}],
+    }  # fmt: skip
+    told = {"name": "backlash.gap", "agrees": False, "statement": "The motions disagree on it."}
+    found = {
+        "model": model.version, "verdict": "effect", "statement": "", "ranking": [fitted], "rollouts": [], "sealed": [],
+        "errors": {}, "floor_from_replicates": True, "agreement": {"backlash": [told]},
+    }  # fmt: skip
+    file = tmp_path / "diagnosis.json"
+    file.write_text(json.dumps(found))
+    task = Task(ADD, str(tmp_path), model.version, (), {"use": "backlash", "diagnosis": str(file)})
+    with pytest.raises(InferError, match="The motions disagree on it"):
+        run_add(task, lambda *_, **__: None)
+    assert [v.version for v in store.history("servo_bench")] == [model.version]

@@ -279,7 +279,7 @@ class InferenceNode(Node):
         found = adopt.latest(self._store.folder("runs"), parent.version, use)
         if found is None:
             return child, "its size as wide as the prior: no diagnosis of this version has fitted it"
-        return adopt.adopt(parent, use, found), "as the newest diagnosis fitted it"
+        return adopt.offered(parent, use, found), "as the newest diagnosis fitted it"
 
     # -- diagnosis ------------------------------------------------------------------------------------------------
 

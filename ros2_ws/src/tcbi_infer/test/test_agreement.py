@@ -17,6 +17,7 @@ from tcbi_infer.diagnose.evidence import Agreement
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.errors import InferError
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import base_model
 from tcbi_sim.parameter import Parameter
@@ -166,3 +167,10 @@ def test_a_size_on_which_the_motions_disagree_is_not_offered():
 @pytest.mark.parametrize("found", [diagnosis(True), diagnosis(None), diagnosis(False, "gain"), {"ranking": []}])
 def test_what_agrees_or_is_not_known_or_is_of_the_base_model_is_offered(found):
     assert not adopt.objection(found, "backlash")
+
+
+def test_a_version_is_not_made_of_sizes_on_which_the_motions_disagree(monkeypatch):
+    monkeypatch.setattr(adopt, "adopt", lambda model, use, found: model)
+    assert adopt.offered("a model", "backlash", diagnosis(True)) == "a model"
+    with pytest.raises(InferError, match="not offered for use"):
+        adopt.offered("a model", "backlash", diagnosis(False))

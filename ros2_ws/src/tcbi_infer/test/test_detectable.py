@@ -8,7 +8,7 @@ import pytest
 from bench_recordings import BASE, record
 
 from tcbi_infer.diagnose import diagnose
-from tcbi_infer.diagnose.detectable import HEAD, robust_gain, rows
+from tcbi_infer.diagnose.detectable import HEAD, SIZES, _Ray, _Use, robust_gain, rows
 from tcbi_infer.diagnose.evidence import DetectableSize, Diagnosis
 from tcbi_infer.diagnose.false_alarms import false_alarms
 from tcbi_infer.diagnose.null import Null
@@ -16,6 +16,7 @@ from tcbi_infer.diagnose.screen import Targets
 from tcbi_infer.diagnose.settings import QUICK
 from tcbi_sim.effects import library
 from tcbi_sim.model import base_model
+from tcbi_sim.parameter import Parameter
 
 GAP = "backlash"
 STIFFER = """
@@ -133,3 +134,17 @@ def test_no_false_alarm_rate_is_claimed_of_few_kinds_of_motion():
     alarms = false_alarms(null(15, 4))
     assert alarms.rate is None and "no false-alarm rate is claimed" in alarms.statement
     assert false_alarms(Null.of_no_search()).rate is None
+
+
+@pytest.mark.parametrize(("straight", "least"), [(True, SIZES[0]), (False, 0.1)])
+def test_of_an_effect_that_is_not_straight_nothing_smaller_than_simulated_is_claimed(monkeypatch, straight, least):
+    own = Parameter("gap", "rad", 0.0, 1.0, 0.2, null=0.0, description="")
+    use = object.__new__(_Use)
+    use.key, use.own = "backlash", (own,)
+    monkeypatch.setattr(_Use, "_absorbed", lambda self, ray: False)
+    monkeypatch.setattr(_Use, "_straight", lambda self, ray: straight)
+    monkeypatch.setattr(_Use, "_power", lambda self, ks, multiples: (np.ones(len(ks)), np.ones(len(ks))))
+    for name in ("_usefulness", "_distance"):
+        monkeypatch.setattr(_Use, name, lambda self, ks, multiples: np.full(len(ks), 50.0))
+    size = use._size(_Ray(0, 1, "", (0, 1), (0.1, 0.35)))
+    assert size.share == pytest.approx(least) and size.limit == "nothing smaller is claimed"

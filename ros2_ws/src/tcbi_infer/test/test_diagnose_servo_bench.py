@@ -12,7 +12,7 @@ from tcbi_infer.compare.errors import NothingToCompareError, WrongRigError
 from tcbi_infer.compare.history import VersionError, history, remember
 from tcbi_infer.diagnose import Diagnosis, adopt, diagnose
 from tcbi_infer.diagnose.leftover import POSITION
-from tcbi_infer.diagnose.settings import Settings
+from tcbi_infer.diagnose.settings import QUICK, Settings
 from tcbi_infer.errors import InferError
 from tcbi_infer.report import Report, add_diagnosis
 from tcbi_sim.measurement import Measurement
@@ -148,3 +148,23 @@ def test_without_rollouts_there_is_nothing_to_compare():
 def test_rollouts_of_another_robot_are_refused():
     with pytest.raises(WrongRigError, match="servo_bench"):
         compare(base_model("hexapod"), record(base_model("servo_bench"), BASE, repeats=1))
+
+
+@pytest.mark.parametrize("place", [0.5, 0.9, 0.03, 0.0])
+@pytest.mark.parametrize("sd", [0.001, 0.05, 0.8])
+def test_the_particles_mean_is_the_fit_also_beside_a_bound(place, sd):
+    model = base_model("servo_bench")
+    correlation = np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    values = model.from_unit(np.array([0.5, 0.5, place]))
+    unit = model.to_unit(adopt.draw(model, values, sd**2 * correlation, 0))
+    assert unit.mean(axis=0) == pytest.approx(model.to_unit(values), abs=1e-3 * min(sd, 0.3) + 2e-6)
+    assert np.all((unit >= 0.0) & (unit <= 1.0)) and np.corrcoef(unit.T)[0, 1] == pytest.approx(0.8, abs=0.1)
+    assert unit.std(axis=0)[0] == pytest.approx(min(sd, np.sqrt(1 / 12)), rel=0.02)
+
+
+def test_an_effect_that_the_model_has_is_not_shown_again(late, monkeypatch):
+    """As in the second round of `diagnose --add --show EFFECT`."""
+    truth = base_model("servo_bench").with_effect("command_latency")
+    rollouts = record(truth, np.r_[BASE, 0.06])[:4]
+    found = diagnose(adopted(late), rollouts, uses=["rotor_inertia"], settings=QUICK, show=["command_latency"])
+    assert not [m for m in found.next_motions if "command_latency" in m.between]

@@ -1,6 +1,7 @@
 """Fits of a servo bench whose truth is known, from starts near and far."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,11 +9,15 @@ from bench_recordings import BASE, record
 
 from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.replicates import Replicates
+from tcbi_infer.diagnose.base_fit import base_starts
 from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.heldout import held_out
+from tcbi_infer.diagnose.null import noise_draws
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.screen import simulate_directions
 from tcbi_sim.model import base_model
+from tcbi_sim.parameter import Parameter
 
 MODEL = base_model("servo_bench")
 
@@ -125,3 +130,27 @@ def test_a_single_kind_of_motion_is_predicted_by_its_own_fit_with_the_scatter_be
     held = held_out(shifted, fit, scatter, one, 0.002)
     assert fit.nuisance[0] > 1.0 and held.unit[0] == pytest.approx(fit.unit)
     np.testing.assert_allclose(held.residual, fit.residual, atol=1e-6)
+
+
+@pytest.mark.parametrize(("width", "count"), [(3, 27), (5, 32), (7, 128), (8, 128), (12, 128)])
+def test_a_fit_starts_at_different_corners_in_both_halves_of_every_range(width, count):
+    parameters = tuple(Parameter(f"p{i}", "1", 0.0, 1.0, 0.5, description="") for i in range(width))
+    model = SimpleNamespace(
+        parameters=parameters,
+        mean=lambda: np.full(width, 0.5),
+    )
+    grid = base_starts(model)[2:]
+    assert grid.shape == (count, width) and len(np.unique(grid, axis=0)) == count
+    upper = (grid > 0.5).mean(axis=0)
+    assert np.all((upper > 0.3) & (upper < 0.7)) and np.array_equal(grid, base_starts(model)[2:])
+
+
+def test_a_recording_given_twice_is_no_repeat_without_noise(fitter):
+    drawn = []
+    for times in (1, 2):
+        sets = tuple(Replicates(g.members[:1] * times, g.kind) for g in fitter.problem.replay.replicates)
+        problem = dataclasses.replace(
+            fitter.problem, replay=dataclasses.replace(fitter.problem.replay, replicates=sets)
+        )
+        drawn.append(np.sqrt(times) * noise_draws(problem, fitter.sets, 3, np.random.default_rng(0)))
+    np.testing.assert_allclose(*drawn)

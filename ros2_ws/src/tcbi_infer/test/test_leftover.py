@@ -12,7 +12,8 @@ from tcbi_infer.compare.conditions import torques
 from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.signals import DEGREE, reference
-from tcbi_infer.diagnose.leftover import COMMAND, LOAD, OFFSET, POSITION, TORQUE, explain
+from tcbi_infer.diagnose.evidence import Variable
+from tcbi_infer.diagnose.leftover import COMMAND, LOAD, OFFSET, POSITION, TORQUE, _statement, explain
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model, base_model
@@ -122,3 +123,28 @@ def test_a_rig_driven_by_torque_has_no_commanded_position_and_its_torque_is_name
     found = explain(shifted.with_autocorrelation(residual), residual, np.arange(len(firsts)))
     assert found.variables[0].name == TORQUE and found.variables[0].share > 0.8
     assert not {COMMAND, LOAD, "the commanded speed"} & set(shares(found))
+
+
+def test_what_grows_with_a_temperature_is_named_though_one_recording_has_none(problem):
+    replay = problem.replay
+    names = list(dict.fromkeys(m.policy_id for m in replay.measurements))
+    seconds = np.arange(6.0)
+    degrees = {name: 40.0 + 5.0 * np.sin(seconds + 2.0 * i) for i, name in enumerate(names)}
+    measured = tuple(
+        dataclasses.replace(
+            m, readings={"temperature_C": (seconds, degrees[m.policy_id])} if m.policy_id != "saw" else {}
+        )
+        for m in replay.measurements
+    )
+    warm = dataclasses.replace(problem, replay=dataclasses.replace(replay, measurements=measured))
+    error = 0.2 * SIZE * np.stack([np.interp(replay.time, seconds, degrees[name]) - 40.0 for name in names])
+    found = told(warm, error)
+    assert found.variables[0].name == "the measured temperature" and found.variables[0].sure
+    assert shares(found)["the measured temperature"] > 0.6 and "the measured voltage" not in shares(found)
+    assert told(problem, error).share < 0.2
+
+
+def test_the_variable_named_is_the_first_of_which_the_motions_agree():
+    doubtful, sure = (Variable(name, share, 0.1, name == LOAD) for name, share in ((POSITION, 0.5), (LOAD, 0.3)))
+    assert _statement(0.6, [doubtful, sure]).endswith(f"{LOAD} alone 30 %.")
+    assert _statement(0.6, [doubtful]).endswith("no single variable does.")

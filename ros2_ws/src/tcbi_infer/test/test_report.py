@@ -61,6 +61,15 @@ def test_verdict_ranking_size_and_caveats_are_on_the_page():
         assert words in text
 
 
+def test_not_every_effect_was_tried_where_some_were_left_out():
+    assert "Every effect of the library was tried" in page()
+    report = Report("What does the model lack?")
+    found = dataclasses.replace(DIAGNOSIS, verdict="outside_library", untried=("payload",))
+    add_diagnosis(report, found)
+    assert "Not every effect of the library was tried" in report.html()
+    assert found.headline == "Something is missing that no effect tried explains"
+
+
 def test_values_that_disagree_stand_in_a_table_and_in_a_sentence():
     own = tuple(KindValue(f"gait{k}", v, 0.9 * v, 1.1 * v) for k, v in enumerate((0.02, 0.055, 0.09)))
     doubted = Agreement("coulomb_friction.torque", "N m", 0.055, False, "The motions disagree on it.", own, 0.0003)

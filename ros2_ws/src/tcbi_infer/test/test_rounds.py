@@ -75,6 +75,13 @@ def test_an_effect_on_whose_size_the_motions_disagree_ends_the_search_unless_it_
     assert [r.added is not None for r in rounds(Model(version="m-v0", effects=()), [], anyway=True)] == [True, False]
 
 
+def test_the_search_ends_where_no_candidate_is_left_to_try(told):
+    asked = told(["effect", "effect"])
+    found = list(rounds(Model(version="m-v0", effects=()), [], uses=["a", "b"]))
+    assert len(asked) == 2 and [r.ending for r in found] == ["", "no candidate is left to try"]
+    assert found[-1].added.effects == ("a", "b")
+
+
 def test_two_hidden_effects_are_found_one_after_the_other():
     truth = base_model("servo_bench").with_effect("command_latency").with_effect("rotor_inertia")
     values = np.r_[BASE, 0.06, 0.002]

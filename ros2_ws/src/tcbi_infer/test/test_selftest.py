@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from bench_recordings import BASE, record
 
+from tcbi_infer.compare.replicates import find_replicates
 from tcbi_infer.diagnose.evidence import Diagnosis
 from tcbi_infer.diagnose.motions import standard_motions
 from tcbi_infer.diagnose.settings import QUICK
@@ -54,6 +55,25 @@ def test_a_run_goes_on_where_it_was_stopped(bench, finished, monkeypatch):
 def test_results_of_other_motions_or_settings_are_not_taken(bench, finished):
     other = dataclasses.replace(bench, motions=bench.motions[1:])
     assert len(kept(finished[1], bench.fingerprint)) == 2 and not kept(finished[1], other.fingerprint)
+
+
+def test_whatever_else_a_result_depends_on_makes_another_fingerprint(bench, monkeypatch, tmp_path):
+    def played(**changes):
+        first = bench.motions[0]
+        commands = dataclasses.replace(first.commands, **changes)
+        return dataclasses.replace(bench, motions=(dataclasses.replace(first, commands=commands), *bench.motions[1:]))
+
+    weights = MODEL.log_weights + np.log(np.linspace(0.5, 1.5, len(MODEL.log_weights)))
+    benches = [
+        bench,
+        played(ramp=0.0),
+        played(torque_on=np.zeros(len(bench.motions[0].commands.time), bool)),
+        dataclasses.replace(bench, model=dataclasses.replace(MODEL, log_weights=weights)),
+    ]
+    monkeypatch.setenv("TCBI_EFFECTS", str(tmp_path))
+    seen = {b.fingerprint for b in benches}
+    (tmp_path / "own.py").write_text("# another effect of the user's own")
+    assert len({*seen, bench.fingerprint}) == len(benches) + 1
 
 
 def test_a_line_that_was_cut_off_is_run_again_and_another_file_is_refused(finished, bench, tmp_path):
@@ -108,6 +128,22 @@ def test_recorded_commands_are_played_once_for_all_their_repeats():
     assert np.array_equal(motions[0].commands.target, rollouts[0].commands.target)
 
 
+def test_recorded_motions_are_split_into_the_kinds_that_a_diagnosis_of_the_recording_has():
+    pieces = [dataclasses.replace(m, policy_id=f"log-{i // 6}") for i, m in enumerate(record(MODEL, BASE))]
+    played = SOUND.record(MODEL, motions_of(pieces))
+    assert [r.kind for r in find_replicates(played)] == [r.kind for r in find_replicates(pieces)]
+    assert len({m.rollout_id for m in played}) == len(played) and {m.policy_id for m in played} == {
+        m.policy_id for m in pieces
+    }
+
+
+def test_noise_does_not_follow_from_a_robots_own_values(bench, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("tcbi_infer.selftest.robot.add_noise", lambda m, _, rng: drawn.append(rng.random()) or m)
+    HEAVY.record(MODEL, bench.motions[:1])
+    assert drawn[0] != np.random.default_rng(HEAVY._seed).random()
+
+
 @pytest.mark.parametrize(
     ("planted", "verdict", "uses", "word"),
     [
@@ -120,6 +156,8 @@ def test_recorded_commands_are_played_once_for_all_their_repeats():
         ("", "nothing_missing", (), RIGHT),
         ("", "effect", ("backlash",), FALSE_ALARM),
         ("", "outside_library", (), FALSE_ALARM),
+        ("", "cannot_tell", (), RIGHT),
+        ("", "cannot_tell", ("backlash",), FALSE_ALARM),
     ],
 )
 def test_outcomes(planted, verdict, uses, word):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tcbi_infer.diagnose import paired
+from tcbi_infer.diagnose.claims import left_out
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
     EFFECT,
@@ -219,3 +220,37 @@ def test_the_json_says_whether_an_interval_leaves_the_null_value_out():
     assert ParameterEstimate("gap", "rad", 0.5, 0.4, 0.6, 0.0).to_json()["excludes_null"] is True
     assert ParameterEstimate("gap", "rad", 0.5, -0.1, 0.6, 0.0).to_json()["excludes_null"] is False
     assert ParameterEstimate("mass", "kg", 0.5, 0.4, 0.6, None).to_json()["excludes_null"] is None
+
+
+@pytest.mark.parametrize(
+    ("tried", "verdict", "told"),
+    [
+        (None, OUTSIDE_LIBRARY, "no effect of the library explains it"),
+        (4, OUTSIDE_LIBRARY, "none of the 4 effects tried explains it"),
+        (1, OUTSIDE_LIBRARY, "the one effect tried does not explain it"),
+        (0, CANNOT_TELL, "no effect was tried"),
+    ],
+)
+def test_of_effects_that_were_not_tried_nothing_is_said(tried, verdict, told):
+    ruling = rule([], everywhere(20.0), 6, everywhere(28.0), tried=tried)
+    assert (ruling.verdict, ruling.uses) == (verdict, ()) and told in ruling.statement
+
+
+def test_a_small_share_explained_is_told_of_the_effects_that_were_tried():
+    found = dataclasses.replace(evidence("backlash", after=18.0, before=20.0), accepted=True)
+    whole, part = (rule([found], everywhere(20.0), 6, everywhere(28.0), tried=n).statement for n in (None, 2))
+    assert "that the library does not hold" in whole and "that no effect tried explains" in part
+
+
+def test_what_was_left_out_is_told_by_effect():
+    left = ["payload", "joint_offset:a", "joint_offset:b", "weak_leg:lf"]
+    assert left_out(left, ["weak_leg:rf", "backlash"]) == ["Not tried: payload, joint_offset, weak_leg at 1 place."]
+    assert left_out([], ["backlash"]) == []
+
+
+def test_where_the_base_model_diverges_in_several_motions_these_count_as_the_largest_finite_gain():
+    gains, sizes = np.array([np.inf, np.inf, 28.0, 25.0, 27.0]), np.ones(5)
+    assert paired.statistic(gains, sizes) == paired.statistic(np.where(np.isinf(gains), 28.0, gains), sizes) > 5
+    few = np.array([np.inf, 28.0, 25.0])
+    assert paired.total(few, np.ones(3))[0] == 81.0
+    assert paired.total(np.full(5, np.inf), sizes)[0] == -np.inf  # nothing to compare with

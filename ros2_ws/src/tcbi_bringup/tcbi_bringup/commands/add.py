@@ -97,10 +97,8 @@ def _fitted(args: argparse.Namespace, model: "Model", measurements: "list[Measur
             f"no diagnosis of {model.version} has fitted {args.effect!r}; run ./tcbi diagnose first, give bags, "
             "name another version (--model) or rig (--rig), or keep the prior with --prior"
         )
-    child = adopt.adopt(model, args.effect, found)  # a diagnosis of another model is told first
-    if not args.anyway and (objection := adopt.objection(found, args.effect)):
-        raise InferError(objection)
-    return child
+    take = adopt.adopt if args.anyway else adopt.offered
+    return take(model, args.effect, found)
 
 
 def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:

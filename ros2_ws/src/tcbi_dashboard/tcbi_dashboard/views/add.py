@@ -18,6 +18,7 @@ from tcbi_dashboard.views.base import View
 from tcbi_dashboard.views.parameters import show_difference, show_posterior
 from tcbi_dashboard.views.retrain import RetrainCard
 from tcbi_dashboard.views.why import read
+from tcbi_infer.diagnose.adopt import objection
 
 NAMED_ROLLOUTS = 12  # of those a measurement used, on the page
 
@@ -84,13 +85,16 @@ class AddView(View):
             with card(f"Add an effect to {found['model']}"):
                 words(found["statement"], "p")
                 children = [v for v in self.session.versions() if v != found["model"]]
+                refused = {e["use"]: told for e in fitted[:4] if (told := objection(found, e["use"]))}
                 with ui.element("div").classes("tcbi-row"):
-                    for e in fitted[:4]:
+                    for e in (e for e in fitted[:4] if e["use"] not in refused):
                         named = e["use"] in found["uses"]
                         button = ui.button(f"Add {e['use']}", on_click=lambda use=e["use"]: self._add(found, path, use))
                         button.props("" if named else "outline").mark(f"add-{e['use']}")
                         if not e["accepted"]:
                             button.tooltip(f"not accepted: {e['reason']}")
+                for told in refused.values():
+                    words(f"{told}.", "p")
                 if not fitted:
                     soft("The diagnosis fitted no candidate, so there is nothing to add.")
                 elif not any(e["accepted"] for e in fitted):

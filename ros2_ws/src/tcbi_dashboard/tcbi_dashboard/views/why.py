@@ -13,6 +13,7 @@ from tcbi_dashboard.picker import HOW_TO_RECORD, Picker
 from tcbi_dashboard.session import Session
 from tcbi_dashboard.views.base import View
 from tcbi_dashboard.views.record import start_recording
+from tcbi_infer.diagnose.adopt import objection
 from tcbi_infer.diagnose.evidence import EFFECT, NextMotion, step_label
 
 
@@ -47,8 +48,8 @@ class WhyView(View):
             with ui.element("div").classes("tcbi-row"):
                 ui.button("Diagnose", on_click=lambda: self.diagnose(False), icon="search").mark("diagnose")
                 quick = ui.button("Quick look", on_click=lambda: self.diagnose(True)).props("outline")
-                quick.tooltip("a first answer: fewer candidates fitted, no motion kept aside for the end").mark("quick")
-            soft("Every effect of the library is fitted and judged on motions that the fit has not seen.")
+                quick.tooltip("a first answer: no single joints, fewer fits, no motion kept aside").mark("quick")
+            soft("The best of the library's effects are fitted, and judged on motions that the fit has not seen.")
         self.result = ui.element("div").classes("tcbi-grid")
 
     def state(self) -> object:
@@ -101,9 +102,12 @@ class WhyView(View):
             notes([*d.get("guards", ()), *d.get("claims", ())])
             if d.get("uses"):
                 use = d["uses"][0]
-                ui.button(f"Add {use} to {d['model']} …", on_click=lambda: self.session.go_to("Add")).style(
-                    "align-self: start"
-                ).mark("go-add")
+                if told := objection(d, use):
+                    words(f"{told}.", "p").mark("not-offered")
+                else:
+                    ui.button(f"Add {use} to {d['model']} …", on_click=lambda: self.session.go_to("Add")).style(
+                        "align-self: start"
+                    ).mark("go-add")
             self.other = soft("")
             self._tell_choice(d)
 

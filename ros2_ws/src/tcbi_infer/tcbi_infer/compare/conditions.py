@@ -148,7 +148,7 @@ def conditions(
         Condition("slope", "deg", _wide(slope, shape), "on the steeper slopes"),
         Condition("time since start", "s", np.broadcast_to(time[None, :, None], shape), "late in the rollouts"),
     ]
-    return [c for c in (*found, *_read(measurements, time), *_recorded(measurements, shape)) if c.varies]
+    return [c for c in (*found, *read(measurements, time), *_recorded(measurements, shape)) if c.varies]
 
 
 def torques(measurement: Measurement, time: np.ndarray) -> np.ndarray:
@@ -185,7 +185,7 @@ def _command_sizes(measurements: Sequence[Measurement], time: np.ndarray) -> np.
     return np.stack(sizes)
 
 
-def _read(measurements: Sequence[Measurement], time: np.ndarray) -> list[Condition]:
+def read(measurements: Sequence[Measurement], time: np.ndarray) -> list[Condition]:
     """What the recordings read beside the samples; NaN where they did not."""
     return [
         Condition(q.name, q.unit, np.stack([on_joints(m, q, time) for m in measurements]), reading=q)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import betaincinv
 
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import Diagnosis
@@ -17,6 +18,7 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 
 PARTICLES = 200
+LEAST_ROOM = 1e-6  # of a range, between a fitted value and the bounds, and of its standard deviation
 PREFIX = "diagnosis-"
 MOMENTS = "moments-"  # the worst moments of the diagnosis of the same name
 
@@ -64,6 +66,18 @@ def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -
     return child.with_particles(particles, log_weights, **summary)
 
 
+def offered(model: Model, use: str, diagnosis: Mapping[str, Any]) -> Model:
+    """As `adopt`, of a diagnosis whose kinds of motion agree on the effect's sizes.
+
+    Raises:
+      InferError: they do not, or as `adopt` says.
+    """
+    child = adopt(model, use, diagnosis)  # a diagnosis of another model is told first
+    if told := objection(diagnosis, use):
+        raise InferError(told)
+    return child
+
+
 def disagreements(diagnosis: Mapping[str, Any], use: str) -> list[Mapping[str, Any]]:
     """Parameters of the model with a use on which the kinds of motion disagree; none in an older diagnosis."""
     return [a for a in diagnosis.get("agreement", {}).get(use, ()) if a["agrees"] is False]
@@ -82,10 +96,24 @@ def objection(diagnosis: Mapping[str, Any], use: str) -> str:
 
 
 def draw(model: Model, values: np.ndarray, spread: np.ndarray, seed: int) -> np.ndarray:
-    """(N, P) draws from a Gaussian in unit space, folded back into the bounds."""
-    rng = np.random.default_rng(seed)
-    unit = rng.multivariate_normal(model.to_unit(values), spread, size=PARTICLES, method="eigh")
-    return model.from_unit(np.clip(unit, 0.0, 1.0))
+    """(N, P) draws whose means, in unit space, are the fitted values, and that stay within the bounds.
+
+    Each parameter has a Beta distribution, which far from the bounds is nearly a Gaussian. Beside a bound it is as wide
+    as this mean and a single peak allow, and nowhere wider than the flat prior. Evenly spaced quantiles of each are
+    joined with the rank correlation of Gaussian draws.
+
+    Args:
+      model: with the effect.
+      values: (P,) as fitted, physical.
+      spread: (P, P) their covariance in unit space.
+      seed: of the draws.
+    """
+    joint = np.random.default_rng(seed).multivariate_normal(np.zeros(len(values)), spread, PARTICLES, method="eigh")
+    share = (joint.argsort(axis=0).argsort(axis=0) + 0.5) / PARTICLES
+    mean = np.clip(model.to_unit(values), LEAST_ROOM, 1.0 - LEAST_ROOM)
+    wide = mean * (1.0 - mean) / np.maximum(np.diag(spread), LEAST_ROOM**2) - 1.0
+    count = np.maximum(wide, 1.0 / np.minimum(mean, 1.0 - mean))  # of fewer a bound is a second peak
+    return model.from_unit(betaincinv(mean * count, (1.0 - mean) * count, share))
 
 
 def fit_effect(model: Model, use: str, measurements: Sequence[Measurement], **options: Any) -> Diagnosis:

@@ -13,6 +13,9 @@ from tcbi_infer.diagnose.settings import Settings
 from tcbi_sim.model import Model
 
 GRID = (0.15, 0.5, 0.85)  # of each base parameter's range
+CORNERS = (0.3, 0.7)  # instead, of more than four parameters
+WIDEST = 7  # parameters whose corners are all tried; of more so many are drawn:
+CORNER_STARTS = 2**WIDEST
 KNOWN = 2  # of the starts stand for what is known of the model; the others are that grid
 # by so much must the base model's fit improve from a candidate's parameters, to begin again there: nats, and a share of
 # what the best candidate gains
@@ -21,10 +24,16 @@ NEAR = 0.05  # of every range: who starts so near to another start, or to the ba
 
 
 def base_starts(model: Model) -> np.ndarray:
-    """(N, P) unit vectors from which a base model is fitted: its mean, its nominal values, and a grid."""
+    """(N, P) unit vectors from which a base model is fitted: its mean, its nominal values, and a grid.
+
+    Of a model with many parameters the grid is of corners drawn at random, none of them twice.
+    """
     width = len(model.parameters)
-    levels = GRID if width <= 4 else (0.3, 0.7)
-    grid = np.array(list(itertools.islice(itertools.product(levels, repeat=width), 128)))
+    if width <= WIDEST:
+        grid = np.array(list(itertools.product(GRID if width <= 4 else CORNERS, repeat=width)))
+    else:
+        drawn = np.random.default_rng(0).choice(CORNERS, (4 * CORNER_STARTS, width))
+        grid = np.array(list(dict.fromkeys(map(tuple, drawn)))[:CORNER_STARTS])
     nominal = np.array([p.nominal for p in model.parameters])
     return np.concatenate([[to_unit(model, model.mean()), to_unit(model, nominal)], grid])
 

@@ -15,6 +15,11 @@ def library(model: Model) -> list[EffectUse]:
     return [u for u in candidates(load_rig(model.rig)) if u.key not in model.effects]
 
 
+def untried(model: Model, uses: Sequence[str]) -> tuple[str, ...]:
+    """The uses of the library that are not among those tried."""
+    return tuple(u.key for u in library(model) if u.key not in uses)
+
+
 def tried(model: Model, settings: Settings) -> list[str]:
     """The uses that a diagnosis tries where none are named."""
     single = () if settings.per_joint else load_rig(model.rig).joint_names

@@ -1,5 +1,6 @@
 """What a diagnosis rests on, in sentences."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 from tcbi_contract.wording import counted, with_unit
@@ -36,6 +37,19 @@ def claims(kinds: int, sealed: int, null: Null, floor: NoiseFloor, settings: Set
     if not floor.from_replicates:
         told.append(floor.statement)
     return told
+
+
+def left_out(left: Sequence[str], uses: Sequence[str]) -> list[str]:
+    """A sentence on the effects of the library that were left out, at some places or at all.
+
+    Args:
+      left: uses that were left out.
+      uses: those tried.
+    """
+    places = Counter(use.partition(":")[0] for use in left)
+    kept = {use.partition(":")[0] for use in uses}
+    told = [f"{name} at {counted(count, 'place')}" if name in kept else name for name, count in places.items()]
+    return [f"Not tried: {', '.join(told)}."] if told else []
 
 
 def diverging(uses: Sequence[str]) -> list[str]:

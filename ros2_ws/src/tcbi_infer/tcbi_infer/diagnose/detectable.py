@@ -188,21 +188,21 @@ class _Use:
             return dataclasses.replace(size, reason=self._likeness(ray.ks[0]))
         lengths = np.abs(ray.lengths)
         picked = np.argmin(np.abs(np.log(lengths / SIZES[:, None])), axis=1)
-        known = np.ones(len(SIZES), bool)
+        smallest = SIZES[0]
         if not self._straight(ray):  # a threshold, perhaps: what is smaller than simulated may do nothing at all
             picked = np.maximum((lengths <= SIZES[:, None] * 1.001).sum(axis=1) - 1, 0)
-            known = lengths.min() * 0.999 <= SIZES
+            smallest = lengths.min()
         ks = np.array(ray.ks)[picked]
         multiples = SIZES / np.array(ray.lengths)[picked]
         power, gain = self._power(ks, multiples)
-        margins = np.stack([power / POWER, self._usefulness(ks, multiples), self._distance(ks, multiples)]) * known
-        least = [_crossing(margin) for margin in margins]
+        margins = np.stack([power / POWER, self._usefulness(ks, multiples), self._distance(ks, multiples)])
+        least = [max(_crossing(margin), smallest) for margin in margins]
         limit = int(np.argmax(least))
         if np.isfinite(least[limit]):
             null = float(p.to_unit(p.null))
             share = least[limit] * ((1 - null) if ray.way > 0 else null)
             value = float(p.from_unit(null + ray.way * share))
-            decided = LIMITS[limit] if least[limit] > SIZES[0] else "nothing smaller is claimed"
+            decided = LIMITS[limit] if least[limit] > smallest else "nothing smaller is claimed"
             return dataclasses.replace(size, value=value, share=float(share), limit=decided)
         return dataclasses.replace(size, reason=self._why_not(int(ks[-1]), limit, float(gain[-1])))
 

@@ -20,8 +20,8 @@ from tcbi_infer.compare.replicates import Split, split
 from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.agreement import agreement, disagreeing
 from tcbi_infer.diagnose.base_fit import base_starts, better_base, fit_base
-from tcbi_infer.diagnose.candidates import tried
-from tcbi_infer.diagnose.claims import bounds, claims, diverging
+from tcbi_infer.diagnose.candidates import tried, untried
+from tcbi_infer.diagnose.claims import bounds, claims, diverging, left_out
 from tcbi_infer.diagnose.detectable import Background, detectable_sizes
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
@@ -68,7 +68,7 @@ def diagnose(
       uses: candidate effects, "name" or "name:site"; the whole library by default.
       settings: how thorough.
       progress: called with the stage and the share done.
-      show: candidates of which to say which motion would show them best.
+      show: candidates of which to say which motion would show them best; those that the model has are left out.
 
     Raises:
       CompareError: nothing to compare, another rig's rollouts, or none in which the model can be simulated.
@@ -109,7 +109,7 @@ class _Run:
         progress: Progress,
         show: Sequence[str],
     ) -> None:
-        self.began, self.show = time.perf_counter(), show
+        self.began, self.show = time.perf_counter(), [use for use in show if use not in model.effects]
         self.model, self.settings, self.progress = model, settings, _only_forward(progress)
         self.measurements = measurements
         self.replay = Replay.of(model, measurements)
@@ -240,7 +240,9 @@ class _Run:
         """Rule, and put together everything that the verdict rests on."""
         kinds, sealed = len(self.split.folds), judge.sealed
         misfit, unfitted = judge.misfit(before), judge.unfitted_misfit()
-        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted)
+        left = untried(self.model, self.uses)
+        count = len({use.partition(":")[0] for use in self.uses}) if left else None
+        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count)
         errors = {"unfitted": judge.unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
@@ -272,6 +274,7 @@ class _Run:
             guards=(*self.lost, *self._guards(before, after)),
             claims=tuple(
                 claims(kinds, len(sealed), null, self.floor, self.settings)
+                + left_out(left, self.uses)
                 + diverging(directions.diverging)
                 + bounds(base, [e for e in ranking if e.use in ruling.uses])
                 + [a.statement for use in ruling.uses or ("",) for a in disagreeing(agreed.get(use, ()))]
@@ -280,11 +283,12 @@ class _Run:
             moments=tuple(judge.moments(before, after)) if after else (),
             false_alarms=false_alarms(null),
             detectable=(*detectable, *(DetectableSize(use, reason=DIVERGES) for use in directions.diverging)),
-            next_motions=self._next_motions(ruling, before, after, detectable),
+            next_motions=self._next_motions(ruling, ranking, before, after, detectable),
             leftover=leftover,
             agreement=agreed,
             misfit=better_misfit(misfit, unfitted),
             kinds=kinds,
+            untried=left,
         )
 
     def _guards(self, base: Judged, after: dict[str, Judged]) -> tuple[str, ...]:
@@ -306,7 +310,12 @@ class _Run:
         return (*guard(self.measurements), *late)
 
     def _next_motions(
-        self, ruling: Ruling, before: Judged, after: dict[str, Judged], sizes: Sequence[DetectableSize]
+        self,
+        ruling: Ruling,
+        ranking: Sequence[Evidence],
+        before: Judged,
+        after: dict[str, Judged],
+        sizes: Sequence[DetectableSize],
     ) -> tuple[NextMotion, ...]:
         """What to record next, where that is asked for or the rollouts cannot tell."""
         if ruling.verdict != CANNOT_TELL and not self.show:
@@ -315,7 +324,7 @@ class _Run:
         motions, timestep = ready_motions(load_rig(self.model.rig), self.replay.measurements), self.settings.coarse
         found: tuple[NextMotion, ...] = ()
         if ruling.verdict == CANNOT_TELL:
-            fits = {use: judged.fit for use, judged in after.items()}
+            fits = {e.use: after[e.use].fit for e in ranking if e.use in after}
             found = excitation.between(self.problem, ruling.uses, before.fit, fits, motions, timestep)
         for use in self.show:
             size = min((s for s in sizes if s.use == use and s.value is not None), key=lambda s: s.share, default=None)

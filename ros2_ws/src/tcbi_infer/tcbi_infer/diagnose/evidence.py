@@ -18,6 +18,7 @@ HEADLINES = {
     NOTHING_MISSING: "Nothing missing was found",
     OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
 }
+UNEXPLAINED = "Something is missing that no effect tried explains"  # where the library was not tried as a whole
 NOT_CONVERGED = "The fit of the model did not converge"
 
 
@@ -284,6 +285,7 @@ class Diagnosis:
       misfit: of the base model, refitted (each open kind of motion held out in turn) or as it was, if that is better.
       kinds: of motion, the sealed ones left out; 0 where that was not told.
       untestable: uses that change nothing in these rollouts.
+      untried: uses of the library that were not tried.
       moments: where the base model fails worst, with and without the candidates.
       claims: caveats in sentences: how the data were split, what no claim is made about.
       false_alarms: how often the search alone raises one, as simulated for this robot and these rollouts.
@@ -317,6 +319,7 @@ class Diagnosis:
     agreement: dict[str, tuple[Agreement, ...]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
     kinds: int = 0
+    untried: tuple[str, ...] = ()
 
     def moments_json(self) -> list[dict[str, Any]]:
         """The moments, to five digits."""
@@ -327,6 +330,8 @@ class Diagnosis:
         """The verdict in a few words, no surer than the statement: what was not accepted may be missing, no more."""
         if not self.reassuring and self.verdict == NOTHING_MISSING:
             return "No effect is named, but not every motion is predicted"
+        if self.untried and self.verdict == OUTSIDE_LIBRARY:
+            return UNEXPLAINED
         if self.verdict != CANNOT_TELL:
             return HEADLINES[self.verdict]
         if self.nothing_held_out:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.compare.conditions import SLOW, torques
+from tcbi_infer.compare.conditions import SLOW, read, torques
 from tcbi_infer.compare.signals import DEGREE, JOINT, reference
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import Leftover, Variable
@@ -96,8 +96,8 @@ def _statement(share: float, variables: Sequence[Variable]) -> str:
         f"Laws of what was recorded could explain {100 * share:.0f} % of the joints' squared error beyond the noise, "
         "judged on motions held out"
     )
-    best = variables[0]
-    if not best.sure:
+    best = next((v for v in variables if v.sure), None)
+    if best is None:
         return f"{told}; no single variable does."
     return f"{told}; {best.name} alone {100 * best.share:.0f} %."
 
@@ -201,6 +201,10 @@ def _laws(problem: Problem, predicted: np.ndarray, sets: np.ndarray, joints: lis
     for name, values in smooth.items():
         if np.nanmax(np.nanmax(values, axis=(0, 1)) - np.nanmin(values, axis=(0, 1))) > 1e-9:
             laws[name] = _hats(values, KNOTS, own=name in (COMMAND, POSITION))
+    for reading in read(firsts, time):
+        own = dataclasses.replace(reading, values=reading.values[..., joints])
+        if own.varies:  # where nothing was read, the law says nothing
+            laws[f"the measured {own.name}"] = np.nan_to_num(_hats(own.values, KNOTS, own=False))
     if POSITION in laws:
         laws[TEETH] = _hats(predicted, FINE_KNOTS, own=True)
     laws["the direction of motion"] = np.tanh(velocity / (SLOW * DEGREE))[..., None]

@@ -41,6 +41,7 @@ class Motion:
       name: "gait:twist", or of the plans in `WORDS`.
       description: in words.
       command: of the shell, that records it twice; "" where the rig has no recorder of its own here.
+      policy_id: of the policy that commands it; None where that has the motion's name.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Motion:
     scenario: Scenario
     commands: Commands
     command: str = ""
+    policy_id: str | None = None
 
 
 def ready_motions(rig: Rig, measurements: Sequence[Measurement]) -> list[Motion]:

@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from tcbi_infer.compare.noise import mean_of
+from tcbi_infer.compare.noise import distinct, mean_of
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.problem import Problem
@@ -51,7 +51,7 @@ def threshold_of(maxima: np.ndarray, kinds: int) -> float:
 def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
     """(D, S, T, C) noise of the sets' means, resampled from differences between replicates where there are any."""
     replay = problem.replay
-    recordings = [replay.measured[list(replay.replicates[s].members)] for s in sets]
+    recordings = [distinct(replay.measured[list(replay.replicates[s].members)]) for s in sets]
     differences = [_difference(values) for values in recordings if len(values) > 1]
     pool = np.array([d for d in differences if np.isfinite(d).any()])
     shape = (draws, len(sets), *problem.observed.shape[1:])

@@ -23,12 +23,15 @@ def total(gains: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     A kind in which the candidate diverged is no strange kind to trim: the sum is then -inf, its standard error NaN.
 
     Args:
-      gains: (F, ...) nats; -inf or NaN where the candidate diverged, inf where only the model before it did.
+      gains: (F, ...) nats; -inf or NaN where the candidate diverged, inf where only the model before it did, which
+        counts as the largest finite one.
       sizes: (F,) replicate sets of each kind: of one with half as many, half the gain is expected.
     """
     count = len(gains)
     share = np.asarray(sizes, float) / np.mean(sizes)
-    rates = np.sort(gains / share.reshape(-1, *[1] * (gains.ndim - 1)), axis=0)
+    rates = gains / share.reshape(-1, *[1] * (gains.ndim - 1))
+    largest = np.max(rates, axis=0, where=np.isfinite(rates), initial=-np.inf)
+    rates = np.sort(np.where(np.isposinf(rates), largest, rates), axis=0)
     ends = cut(count)
     kept = rates[ends : count - ends]
     told = (gains > -np.inf).all(axis=0) & np.isfinite(kept).all(axis=0)

@@ -72,7 +72,12 @@ def rounds(
             return
         child = adopt(model, diagnosis.uses[0], diagnosis.to_json())
         added = keep(child) if keep else child
-        yield Round(model, diagnosis, added, f"{counted(most, 'effect')} at most" if count == most else "")
+        ending = f"{counted(most, 'effect')} at most" if count == most else ""
+        if not ending and uses is not None and set(uses) <= set(added.effects):
+            ending = "no candidate is left to try"
+        yield Round(model, diagnosis, added, ending)
+        if ending:
+            return
         model = added
 
 

@@ -10,8 +10,10 @@ from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
     EFFECT,
+    HEADLINES,
     NOTHING_MISSING,
     OUTSIDE_LIBRARY,
+    UNEXPLAINED,
     WELL_PREDICTED,
     Evidence,
     Misfit,
@@ -130,6 +132,7 @@ def rule(
     unfitted: Misfit,
     base_converged: bool = True,
     unseen: float = np.inf,
+    tried: int | None = None,
 ) -> Ruling:
     """The verdict.
 
@@ -140,6 +143,7 @@ def rule(
       unfitted: of the model as it was, on the same motions as `base`.
       base_converged: whether the base model's own fit did; a bad one looks like a missing effect.
       unseen: error over the floor of the model as it was, on the motions of `error_after`; infinite if not known.
+      tried: effects of the library that were tried; None for all of them.
     """
     accepted = [e for e in ranking if e.accepted]
     if kinds < 2:
@@ -160,14 +164,14 @@ def rule(
             f"{IN_TURN}. Begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions.",
         )
     if not accepted:
-        return _none_accepted(ranking, base, kinds, unfitted, unseen)
+        return _none_accepted(ranking, base, kinds, unfitted, unseen, tried)
     best = accepted[0]
     left, explained = best.error_after, _explained(best)
     if left > WELL_PREDICTED and explained < EXPLAINED:
         return Ruling(
             OUTSIDE_LIBRARY,
             (),
-            "Something is missing that the library does not hold: the base model errs by "
+            f"{HEADLINES[OUTSIDE_LIBRARY] if tried is None else UNEXPLAINED}: the base model errs by "
             f"{best.error_before:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
@@ -202,7 +206,9 @@ def better_misfit(base: Misfit, unfitted: Misfit) -> Misfit:
     return unfitted if _lowered(base.total, unfitted.total) else base
 
 
-def _none_accepted(ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitted: Misfit, unseen: float) -> Ruling:
+def _none_accepted(
+    ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitted: Misfit, unseen: float, tried: int | None
+) -> Ruling:
     best, misfit = ranking[0] if ranking else None, better_misfit(base, unfitted)
     error = f"{IN_TURN} the refitted model errs by {base.total:.1f} times the noise floor"
     if misfit is unfitted:
@@ -226,9 +232,9 @@ def _none_accepted(ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitt
             f"of the excess, but is not certain: {best.reason}.",
         )
     if misfit.total > WELL_PREDICTED and _in_most(misfit):
-        return Ruling(
-            OUTSIDE_LIBRARY, (), f"{error[0].upper()}{error[1:]}, and no effect of the library explains it.{hint}"
-        )
+        # where nothing was tried, nothing is known of the library
+        verdict = CANNOT_TELL if tried == 0 else OUTSIDE_LIBRARY
+        return Ruling(verdict, (), f"{error[0].upper()}{error[1:]}, and {_unexplained(tried)}.{hint}")
     few = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion small effects cannot be seen."
     if misfit.total > WELL_PREDICTED:
         worst = max(misfit.by_kind, key=lambda name: misfit.by_kind[name])
@@ -244,6 +250,14 @@ def _none_accepted(ranking: Sequence[Evidence], base: Misfit, kinds: int, unfitt
         (),
         f"These rollouts show nothing missing: {error}.{hint}{few}",
     )
+
+
+def _unexplained(tried: int | None) -> str:
+    if tried is None:
+        return "no effect of the library explains it"
+    if tried == 0:
+        return "no effect was tried"
+    return f"none of the {tried} effects tried explains it" if tried > 1 else "the one effect tried does not explain it"
 
 
 def _in_most(misfit: Misfit) -> bool:

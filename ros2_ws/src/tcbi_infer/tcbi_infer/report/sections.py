@@ -125,9 +125,10 @@ def _ranking(d: Diagnosis, most: int = 12) -> Section:
     return Section(
         "Which effect explains the error?",
         text=[
-            "Every effect of the library was tried. A bar is how much better motions are predicted that the fit had "
-            "not seen; the whisker is its standard error between kinds of motion. An effect must beat what searching "
-            f"so many effects finds by luck: {d.threshold:.1f} standard errors here.",
+            f"{'Not every' if d.untried else 'Every'} effect of the library was tried. A bar is how much better "
+            "motions are predicted that the fit had not seen; the whisker is its standard error between kinds of "
+            "motion. An effect must beat what searching so many effects finds by luck: "
+            f"{d.threshold:.1f} standard errors here.",
         ],
         figures=[Figure(svg, "Held-out gain of each candidate; in colour what the verdict names.", wide=True)],
         table=Table(head, rows, "All candidates in figures"),

@@ -28,6 +28,7 @@ REPEATS = 2  # of each motion: what the robot differs from itself is its noise f
 PUT_DOWN = 0.003  # rad: how differently a robot that stands is put down for each repeat
 STRENGTHS = {"strong": 1.0, "weak": 0.4}  # of the way from the null value to the library's own best guess
 NOTHING = ""  # planted
+RECORDING = 1  # added to a robot's seed: noise is not drawn from the stream of its parameters
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Robot:
 
     def truth(self, model: Model) -> tuple[Model, np.ndarray]:
         """The model that this robot is, and its (P,) parameters: half-way between the model's mean and a draw of it."""
-        rng = self._rng()
+        rng = np.random.default_rng(self._seed)
         base = model.to_unit(model.mean()) + 0.5 * (
             model.to_unit(model.sample(rng, 1)[0]) - model.to_unit(model.mean())
         )
@@ -75,7 +76,7 @@ class Robot:
           InferError: the simulation of this robot diverged.
         """
         truth, values = self.truth(model)
-        rig, rng = load_rig(model.rig), self._rng()
+        rig, rng = load_rig(model.rig), np.random.default_rng([*self._seed, RECORDING])
         trials = [(motion, repeat) for motion in motions for repeat in range(REPEATS)]
         out = simulate(
             truth,
@@ -96,7 +97,7 @@ class Robot:
             dataclasses.replace(
                 add_noise(out.measurement(i), rig.noise, rng),
                 rollout_id=f"{motion.name}-{repeat}",
-                policy_id=motion.name,
+                policy_id=motion.name if motion.policy_id is None else motion.policy_id,
                 source="selftest",
                 scenario=motion.scenario,
                 commands=motion.commands,
@@ -104,8 +105,9 @@ class Robot:
             for i, (motion, repeat) in enumerate(trials)
         ]
 
-    def _rng(self) -> np.random.Generator:
-        return np.random.default_rng([self.seed, zlib.crc32(f"{self.use} {self.strength}".encode())])
+    @property
+    def _seed(self) -> list[int]:
+        return [self.seed, zlib.crc32(f"{self.use} {self.strength}".encode())]
 
 
 def planted_value(parameter: Parameter, strength: str) -> float:

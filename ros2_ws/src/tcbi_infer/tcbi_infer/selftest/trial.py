@@ -22,6 +22,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.selftest.robot import Robot
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
+from tcbi_sim.ray_workers import versions
 
 RIGHT, UNSURE, WRONG, MISSED, FALSE_ALARM = "right", "unsure", "wrong", "missed", "false alarm"
 Result = dict[str, Any]
@@ -39,12 +40,15 @@ class Bench:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with anything that a result depends on besides the robot."""
-        digest = hashlib.sha256(repr((self.model.version, self.model.effects, self.settings, self.candidates)).encode())
-        digest.update(self.model.particles.tobytes())
+        """Changes with anything that a result depends on besides the robot, the code and the user's own files too."""
+        what = (versions(), self.model.version, self.model.effects, self.settings, self.candidates)
+        digest = hashlib.sha256(repr(what).encode())
+        digest.update(self.model.particles.tobytes() + self.model.log_weights.tobytes())
         for motion in self.motions:
-            digest.update(repr((motion.name, motion.scenario)).encode())
-            digest.update(motion.commands.time.tobytes() + motion.commands.target.tobytes())
+            c = motion.commands
+            digest.update(repr((motion.name, motion.policy_id, motion.scenario, c.ramp)).encode())
+            digest.update(c.time.tobytes() + c.target.tobytes())
+            digest.update(b"" if c.torque_on is None else c.torque_on.tobytes())
         return digest.hexdigest()[:16]
 
 
@@ -52,7 +56,10 @@ def motions_of(rollouts: Sequence[Measurement]) -> tuple[Motion, ...]:
     """The commands and circumstances of recorded rollouts, replicates once."""
     firsts = [rollouts[group.members[0]] for group in find_replicates(rollouts)]
     names = [f"{m.policy_id or 'motion'} {i}" for i, m in enumerate(firsts, 1)]
-    return tuple(Motion(name, "as recorded", m.scenario, m.commands) for name, m in zip(names, firsts, strict=True))
+    return tuple(
+        Motion(name, "as recorded", m.scenario, m.commands, policy_id=m.policy_id)
+        for name, m in zip(names, firsts, strict=True)
+    )
 
 
 def trials(
@@ -69,14 +76,15 @@ def trials(
     Raises:
       InferError: the file cannot be read or written.
     """
-    done = kept(keep, bench.fingerprint) if keep else {}
+    fingerprint = bench.fingerprint
+    done = kept(keep, fingerprint) if keep else {}
     yield from (done[robot] for robot in robots if robot in done)
     for robot in robots:
         if robot in done:
             continue
         result = trial(bench, robot, progress)
         if keep:
-            remember(keep, bench.fingerprint, result)
+            remember(keep, fingerprint, result)
         yield result
 
 
@@ -94,6 +102,7 @@ def trial(bench: Bench, robot: Robot, progress: Progress | None = None) -> Resul
         progress=lambda stage, share: say(robot, stage, 0.1 + 0.9 * share),
     )
     evidence = next((e for e in found.ranking if e.use == robot.use), None)
+    named = next((e for e in found.ranking if e.use in found.uses[:1]), None)
     return {
         **dataclasses.asdict(robot),
         "effect": robot.effect,
@@ -103,7 +112,7 @@ def trial(bench: Bench, robot: Robot, progress: Progress | None = None) -> Resul
         "uses": list(found.uses),
         "statement": found.statement,
         "error_before": found.errors["base"],
-        "error_after": min(found.errors.values()),
+        "error_after": named.error_after if named else found.errors["base"],
         "threshold": found.threshold,
         "statistic": evidence.statistic if evidence else None,
         "fitted": {p.name: [p.value, p.low90, p.high90] for p in evidence.parameters} if evidence else {},
@@ -113,9 +122,13 @@ def trial(bench: Bench, robot: Robot, progress: Progress | None = None) -> Resul
 
 
 def outcome(robot: Robot, found: Diagnosis) -> str:
-    """In a word: right, unsure (names it among others), wrong (names another), missed, or false alarm."""
+    """In a word: right, unsure (names it among others), wrong (names another), missed, or false alarm.
+
+    Of a robot with nothing planted it is no false alarm that the rollouts cannot tell, if no effect is named.
+    """
     if not robot.use:
-        return RIGHT if found.verdict == NOTHING_MISSING else FALSE_ALARM
+        silent = found.verdict == NOTHING_MISSING or (found.verdict == CANNOT_TELL and not found.uses)
+        return RIGHT if silent else FALSE_ALARM
     if robot.use in found.uses:
         return RIGHT if found.verdict == EFFECT else UNSURE
     return WRONG if found.verdict in (EFFECT, CANNOT_TELL) and found.uses else MISSED
