@@ -172,6 +172,25 @@ def test_a_listener_that_is_discovered_late_gets_the_sample_of_the_time_that_sta
     assert both[0] == both[1]
 
 
+def test_a_listener_that_is_discovered_in_a_rollout_under_way_has_no_sample_sent_twice(start_graph, peer, store):
+    start_graph(sim(store=store, lockstep_timeout_s=60.0))
+    policy = Policy(peer)
+    policy.reset(task="balance", seed=1, duration=4.0)
+    policy.event(RolloutEvent.BEGIN, policy.start)
+    policy.enabled = True
+    policy.tick()
+    peer.wait_until(lambda: policy.now > policy.start, "the rollout")
+    policy.enabled = False
+    repeats = peer.collect(names.CLOCK, Clock, messages.STREAM_QOS)
+    peer.wait_until(lambda: len(repeats) >= 3, "the clock to stand")
+    late = peer.collect(names.JOINT_STATES, JointState, messages.STREAM_QOS)
+    repeats.clear()
+    peer.wait_until(lambda: len(repeats) >= 4, "two seconds in which it stands")
+    assert not late
+    stamps = policy.stamps(names.JOINT_STATES)
+    assert len(stamps) == len(set(stamps))
+
+
 def test_a_policy_that_died_does_not_stop_the_rollout_and_is_reported(start_graph, peer, store):
     start_graph(sim(store=store, lockstep_timeout_s=0.2))
     policy = Policy(peer)
@@ -207,6 +226,8 @@ def test_what_cannot_be_is_refused_in_one_line_and_nothing_moves(start_graph, pe
     answer = peer.call(names.RESET_EPISODE, bad, ResetEpisode)
     assert not answer.success and "\n" not in answer.message
     assert all(word in answer.message for word in ("dance", "slope_roll", "lf_coxa", "blocks[0]"))
+    endless = peer.call(names.RESET_EPISODE, ResetEpisode.Request(duration=1e300), ResetEpisode)
+    assert not endless.success and "duration: got 1e+300" in endless.message
     unknown = peer.call(names.LOAD_MODEL, LoadModel.Request(model="hexapod-v99"), LoadModel)
     assert not unknown.success and "hexapod-v99" in unknown.message and unknown.model == "hexapod-v0"
     policy.reset(task="balance", seed=1, duration=1.0)
@@ -232,6 +253,11 @@ def test_an_emergency_stop_takes_the_torque_off_until_release_and_reset(start_gr
     policy.enabled = False
     height = [pose.pose.position.z for pose in policy.poses()]
     assert min(height) < height[0] - 0.02
+    said = [deserialize_message(m, DiagnosticArray) for m in policy.raw[names.DIAGNOSTICS]]
+    values = {
+        v.key: v.value for d in said if nanoseconds(d.header.stamp) == policy.start + SECOND for v in d.status[0].values
+    }
+    assert values["commands refused"] == "5"
     assert peer.call(names.RELEASE_EMERGENCY_STOP, Trigger.Request(), Trigger).success
     policy.reset(task="balance", seed=1, duration=1.0)
     peer.wait_until(lambda: len(policy.poses()) >= 1, "the robot on its feet")

@@ -2,6 +2,7 @@
 
 import os
 import threading
+import time
 
 import pytest
 import serial
@@ -58,6 +59,17 @@ def test_a_port_that_sends_nothing_or_rubbish_is_no_robot(make_bench, make_drive
     finally:
         talking.set()
         chatter.join()
+
+
+def test_commands_that_nobody_takes_do_not_keep_the_check_busy(make_bench, make_driver):
+    bench = make_bench()
+    bench.mute(True)
+    driver = make_driver(bench.paths)
+    driver.command()
+    began, busy = time.monotonic(), time.thread_time()
+    with pytest.raises(StartupError):
+        driver.link.connect()
+    assert time.thread_time() - busy < 0.1 * (time.monotonic() - began)
 
 
 def test_a_board_of_another_version_is_named(make_bench, make_driver, monkeypatch):

@@ -55,7 +55,7 @@ class LinkSettings:
     limits: Limits = field(default_factory=Limits)
 
 
-def open_wire(settings: LinkSettings, clock: Callable[[], int], wake: int | None = None) -> Wire:
+def open_wire(settings: LinkSettings, clock: Callable[[], int]) -> Wire:
     """Open the port or ports for this process alone; nothing is asked yet.
 
     Raises:
@@ -63,13 +63,13 @@ def open_wire(settings: LinkSettings, clock: Callable[[], int], wake: int | None
     """
     port = SerialPort(settings.port, settings.baud_rate)
     if not settings.sensor_port:
-        return OneLink(port, clock, wake)
+        return OneLink(port, clock)
     try:
         board = SerialPort(settings.sensor_port, settings.sensor_baud_rate)
     except PortError:
         port.close()
         raise
-    return TwoPorts(port, board, clock, wake)
+    return TwoPorts(port, board, clock)
 
 
 class Link:
@@ -117,12 +117,13 @@ class Link:
           StartupError: the board or servos do not answer.
           LinkLost: the port went away meanwhile.
         """
-        wire = open_wire(self.settings, self._clock, self._wake_read)
+        wire = open_wire(self.settings, self._clock)
         try:
             self.identity = startup.check(wire, self.settings.calibration)
         except BaseException:
             wire.close()
             raise
+        wire.wake = self._wake_read  # only now: nobody reads the pipe during the check
         watchdog_ms = round(self.settings.limits.silence_s * 1000)
         self.robot = Robot(wire, self.settings.calibration, self.safety, self._sink, watchdog_ms)
         self.state = "connected"

@@ -16,8 +16,8 @@ class OneLink(Wire):
     Requests do not wait for each other, so that the delay of a radio link costs age, not rate.
     """
 
-    def __init__(self, port: SerialPort, clock: Callable[[], int], wake: int | None = None) -> None:
-        super().__init__(clock, wake)
+    def __init__(self, port: SerialPort, clock: Callable[[], int]) -> None:
+        super().__init__(clock)
         self._port = port
         self._pending: dict[int, Request] = {}
         port.write(sensor_board.DELIMITER)  # ends whatever half frame the board may still hold
@@ -30,10 +30,10 @@ class OneLink(Wire):
         return self._port
 
     def _submit(self, request: Request) -> None:
-        if request.replies:
+        if request.servos:
             request.deadline = time.monotonic() + request.timeout_s
             self._pending[request.tag] = request
-        self.send_board(Kind.SERVO, sensor_board.servo_payload(request.tag, request.replies, request.packet))
+        self.send_board(Kind.SERVO, sensor_board.servo_payload(request.tag, len(request.servos), request.packet))
 
     def _wait(self, timeout_s: float) -> None:
         self.select([self._port], timeout_s)

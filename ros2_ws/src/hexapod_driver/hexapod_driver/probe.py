@@ -3,9 +3,8 @@
     for finding in probe(LinkSettings("/dev/rfcomm0", BAUD_RATE, "", SENSOR_BAUD_RATE, calibration.load(""))):
         print(finding.name, finding.found)
 
-Servos are pinged and read, never written to. Sensor samples are switched on for a moment and off again; the board's
-watchdog keeps its default, and with two ports gives back the power that it has cut, without torque. So a limp robot
-stays limp.
+Servos are read, never written to. Sensor samples are switched on for a moment and off again; the board's watchdog
+keeps its default, and with two ports gives back the power that it has cut, without torque. So a limp robot stays limp.
 """
 
 import math
@@ -74,7 +73,7 @@ def _servos(wire: Wire, settings: LinkSettings) -> Iterator[Check]:
     joints = {joint.servo: name for name, joint in calibration.joints.items() if name not in missing}
     if joints:
         question = feetech.sync_read(joints, feetech.PRESENT_POSITION, HEALTH_BYTES)
-        packets = [p for p in wire.transact(question, len(joints), READ_S) if len(p.params) == HEALTH_BYTES]
+        packets = [p for p in wire.transact(question, list(joints), READ_S) if len(p.params) == HEALTH_BYTES]
         yield _positions({joints[p.id]: p for p in packets if p.id in joints}, settings, len(joints))
 
 

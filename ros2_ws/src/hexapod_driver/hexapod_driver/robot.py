@@ -77,6 +77,7 @@ class Robot:
         self._asked: AskedPosture | None = None
         self._posture: PostureMove | None = None
         self._stops: list[tuple[float, Done]] = []
+        self._stop_count = 0  # so far
         self._unconfirmed = False  # an emergency stop: then the board's watchdog is left to act
 
     def receive(self) -> None:
@@ -126,6 +127,7 @@ class Robot:
         self._safety.stop()
         self.health.torque = {}
         self._stops.append((now + STOP_CONFIRM_S, done))
+        self._stop_count += 1
         self._limp(now)
 
     def torque_off(self) -> tuple[int, ...]:
@@ -133,7 +135,7 @@ class Robot:
         servos = self._calibration.servos
         for _ in range(3):
             self.wire.submit(feetech.torque(servos, False))
-            packets = self.wire.transact(self._torque_question(), len(servos), 0.15)
+            packets = self.wire.transact(self._torque_question(), servos, 0.15)
             off = {p.id for p in packets if p.params == b"\x00"}
             if off.issuperset(servos):
                 return ()
@@ -189,7 +191,7 @@ class Robot:
         if len(self._purpose) >= self.wire.most_in_flight:
             self.health.skipped_questions += 1
             return
-        tag = self.wire.submit(packet, len(self._calibration.servos))
+        tag = self.wire.submit(packet, self._calibration.servos)
         self._purpose[tag] = purpose
 
     def _start_stream(self) -> None:
@@ -200,8 +202,8 @@ class Robot:
         return feetech.sync_read(self._calibration.servos, feetech.TORQUE_ENABLE, 1)
 
     def _ask_torque(self) -> None:
-        expect_on = self._safety.mode is Mode.ACTIVE
-        self._ask(self._torque_question(), lambda reply: self._take_torque(reply, expect_on))
+        expect_on, stop_count = self._safety.mode is Mode.ACTIVE, self._stop_count
+        self._ask(self._torque_question(), lambda reply: self._take_torque(reply, expect_on, stop_count))
 
     def _limp(self, now: float) -> None:
         """Torque off, said again and again while limp, since a sync write is not acknowledged."""
@@ -270,8 +272,10 @@ class Robot:
         self.health.voltage = {p.id: p.params[voltage] / 10 for p in packets}
         self.health.temperature = {p.id: p.params[temperature] for p in packets}
 
-    def _take_torque(self, reply: BusReply, expect_on: bool) -> None:
+    def _take_torque(self, reply: BusReply, expect_on: bool, stop_count: int) -> None:
         packets = self._answers(reply, 1)
+        if stop_count != self._stop_count:
+            return  # asked before the latest emergency stop, which it cannot confirm
         self.health.torque = {p.id: p.params != b"\x00" for p in packets}
         lost = [f"{self._names[s]} (id {s})" for s, on in self.health.torque.items() if not on]
         if expect_on and lost and self._safety.mode is Mode.ACTIVE:
@@ -289,6 +293,7 @@ class Robot:
     # What moves
 
     def _begin_posture(self, now: float, asked: AskedPosture) -> None:
+        self._end_interrupted_posture()
         start, speed = self._safety.begin_reset(now), self._safety.limits.approach_speed
         self._posture = PostureMove(asked.target, start, speed, asked.tolerance, now, asked.done)
 
@@ -307,12 +312,14 @@ class Robot:
         except CommandRefused as error:
             asked.done(False, str(error))
 
+    def _end_interrupted_posture(self) -> None:
+        if self._posture is not None and not self._safety.resetting:
+            self._finish_posture(False, f"interrupted: {self._safety.reason}")
+
     def _continue_posture(self, now: float) -> None:
+        self._end_interrupted_posture()
         posture = self._posture
         if posture is None:
-            return
-        if not self._safety.resetting:
-            self._finish_posture(False, f"interrupted: {self._safety.reason}")
             return
         if posture.due(now):
             try:

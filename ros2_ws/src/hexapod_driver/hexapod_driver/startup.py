@@ -5,7 +5,6 @@ import time
 from hexapod_driver import feetech, sensor_board
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.errors import StartupError
-from hexapod_driver.feetech import Instruction
 from hexapod_driver.one_link import OneLink
 from hexapod_driver.sensor_board import Feature, FrameError, Identity, Kind
 from hexapod_driver.wire import Wire
@@ -18,7 +17,7 @@ SERVO_REMEDY = "check power, cables and the ids in the calibration"
 
 
 def check(wire: Wire, calibration: Calibration) -> Identity:
-    """Ping the sensor board and all servos, after taking the torque off: first of all, should the board be the fault.
+    """Ask the sensor board and all servos, after taking the torque off: first of all, should the board be the fault.
 
     Raises:
       StartupError: the board does not answer, speaks another version, or servos are missing: expected and found.
@@ -40,8 +39,8 @@ def wake(wire: Wire, calibration: Calibration) -> None:
     BOOT_S, also where no servo is there.
     """
     wire.send_board(Kind.STREAM, sensor_board.stream_payload(0, WATCHDOG_MS))
-    ping, deadline = _ping(calibration, next(iter(calibration.joints))), time.monotonic() + BOOT_S
-    while not wire.transact(ping, 1, REPLY_S) and time.monotonic() < deadline:
+    servo, deadline = calibration.servos[0], time.monotonic() + BOOT_S
+    while not wire.transact(_question(servo), [servo], REPLY_S) and time.monotonic() < deadline:
         pass
 
 
@@ -53,23 +52,23 @@ def absence(missing: list[str], calibration: Calibration) -> str:
 
 
 def missing_joints(wire: Wire, calibration: Calibration) -> list[str]:
-    """Joints whose servo does not answer: pinged in rounds, with growing patience for those that are still missing."""
+    """Joints whose servo does not answer: asked in rounds, with growing patience for those that are still missing."""
     missing = list(calibration.joints)
-    for attempt, timeout_s in enumerate(wire.ping_timeouts_s):
+    for attempt, timeout_s in enumerate(wire.check_timeouts_s):
         if attempt == 2 and len(missing) == len(calibration.joints):
             break  # a dead bus needs no third round
-        pings = {wire.submit(_ping(calibration, name), 1, timeout_s): name for name in missing}
-        replies = wire.gather(pings, timeout_s * len(missing) + REPLY_S)
-        for tag, name in pings.items():
-            if any(p.id == calibration.joints[name].servo for p in replies.get(tag, ())):
-                missing.remove(name)
+        servos = {name: calibration.joints[name].servo for name in missing}
+        tags = {name: wire.submit(_question(servo), [servo], timeout_s) for name, servo in servos.items()}
+        replies = wire.gather(tags.values(), timeout_s * len(missing) + REPLY_S)
+        missing = [n for n in missing if all(p.id != servos[n] for p in replies.get(tags[n], ()))]
         if not missing:
             break
     return missing
 
 
-def _ping(calibration: Calibration, name: str) -> bytes:
-    return feetech.encode(calibration.joints[name].servo, Instruction.PING)
+def _question(servo: int) -> bytes:
+    """A read: the echo of a ping would look like the answer of a servo with an error."""
+    return feetech.read(servo, feetech.TORQUE_ENABLE, 1)
 
 
 def identify(wire: Wire) -> Identity:

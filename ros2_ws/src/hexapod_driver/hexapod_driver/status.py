@@ -81,16 +81,17 @@ def _servos(link: Link) -> Status:
     if robot is None:
         return Status("servos", ERROR, "not connected")
     health, calibration = robot.health, link.settings.calibration
-    faults, voltage = _servo_faults(health, calibration), health.voltage  # one look: another thread replaces it
+    voltage, temperature = health.voltage, health.temperature  # one look: another thread replaces them
+    faults = _servo_faults(health, temperature, calibration)
     values = {"voltage_V": f"{min(voltage.values()):.1f}"} if voltage else {}
     for name, joint in calibration.joints.items():
-        if joint.servo in health.temperature:
-            values[f"temperature_C/{name}"] = str(health.temperature[joint.servo])
+        if joint.servo in temperature:
+            values[f"temperature_C/{name}"] = str(temperature[joint.servo])
     level = ERROR if health.silent_servos else WARN if faults else OK
     return Status("servos", level, "; ".join(faults) or f"all {len(calibration.joints)} servos answer", values)
 
 
-def _servo_faults(health: Health, calibration: Calibration) -> list[str]:
+def _servo_faults(health: Health, temperature: dict[int, int], calibration: Calibration) -> list[str]:
     names = {joint.servo: f"{name} (id {joint.servo})" for name, joint in calibration.joints.items()}
     faults = []
     if health.silent_servos:
@@ -98,7 +99,7 @@ def _servo_faults(health: Health, calibration: Calibration) -> list[str]:
     for servo, code in dict(health.errors).items():
         if code:
             faults.append(f"{names[servo]} reports {', '.join(feetech.error_names(code))}")
-    hot = [servo for servo, degrees in health.temperature.items() if degrees >= HOT_C]
+    hot = [servo for servo, degrees in temperature.items() if degrees >= HOT_C]
     if hot:
         faults.append(f"hot: {_listed(names, hot)}")
     return faults

@@ -18,13 +18,11 @@ class TwoPorts(Wire):
     """
 
     reply_timeout_s = 0.025
-    ping_timeouts_s = (0.05, 0.2, 0.4)  # one servo after the other
+    check_timeouts_s = (0.05, 0.2, 0.4)  # one servo after the other
     most_in_flight = 3
 
-    def __init__(
-        self, servo_port: SerialPort, board_port: SerialPort, clock: Callable[[], int], wake: int | None = None
-    ) -> None:
-        super().__init__(clock, wake)
+    def __init__(self, servo_port: SerialPort, board_port: SerialPort, clock: Callable[[], int]) -> None:
+        super().__init__(clock)
         self._bus, self._board = servo_port, board_port
         self._packets = PacketStream(LONGEST_REPLY)
         self._queue: deque[Request] = deque()
@@ -52,7 +50,7 @@ class TwoPorts(Wire):
     def _submit(self, request: Request) -> None:
         if self._current is None:
             self._send(request)
-        elif request.replies:
+        elif request.servos:
             self._queue.append(request)
         else:
             self._queue.insert(self._urgent, request)
@@ -62,7 +60,7 @@ class TwoPorts(Wire):
         self._packets.expire()  # whatever is left of an older answer is not ours
         request.sent_ns = self._clock()
         self._bus.write(request.packet)
-        if request.replies:
+        if request.servos:
             request.deadline = time.monotonic() + request.timeout_s
             self._current = request
 
@@ -79,12 +77,12 @@ class TwoPorts(Wire):
         request = self._current
         if request is None:
             return
-        request.packets += packets
+        request.take(packets)
         late = time.monotonic() > request.deadline
         if late:
-            request.packets += self._packets.expire()
+            request.take(self._packets.expire())
             self.counters.late_replies += 1
-        if late or len(request.packets) >= request.replies:
+        if late or request.complete:
             middle = (request.sent_ns + self._clock()) // 2
             self.events.append(BusReply(request.tag, tuple(request.packets), middle))
             self._current = None

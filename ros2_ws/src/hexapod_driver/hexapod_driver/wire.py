@@ -4,24 +4,24 @@
 time of the bus on each answer. `TwoPorts` (two_ports.py): the bare servo bus on one port, the board's frames
 on the other.
 
-    wire.submit(feetech.sync_read(ids, 56, 2), replies=18)      # a tag, at once
+    wire.submit(feetech.sync_read(ids, 56, 2), ids)             # a tag, at once
     for event in wire.poll(0.005):                              # BusReply and BoardFrame, as they come
         ...
-    reply = wire.transact(feetech.encode(1, Instruction.PING), replies=1, timeout_s=0.1)
+    packets = wire.transact(feetech.read(1, 56, 2), [1], timeout_s=0.1)
 
-Time: `clock` gives the node's ROS clock in ns; `time.monotonic` decides about deadlines. A byte in the pipe `wake` ends
-a `poll` early. Every failure of a port comes out as `LinkLost`.
+Time: `clock` gives the node's ROS clock in ns; `time.monotonic` decides about deadlines. Every failure of a port comes
+out as `LinkLost`.
 """
 
 import select
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hexapod_driver import sensor_board
+from hexapod_driver import feetech, sensor_board
 from hexapod_driver.clock import BoardClock
 from hexapod_driver.errors import LinkLost
 from hexapod_driver.feetech import Packet
@@ -72,11 +72,29 @@ class Request:
 
     tag: int
     packet: bytes
-    replies: int
+    servos: tuple[int, ...]  # that answer, in this order
     timeout_s: float
     deadline: float = 0.0
     sent_ns: int = 0  # ROS clock
     packets: list[Packet] = field(default_factory=list)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every servo has answered."""
+        return len(self.packets) == len(self.servos)
+
+    def take(self, packets: Iterable[Packet]) -> None:
+        """Collect answers from a bus that does not say whose they are.
+
+        Packets of servos that were not asked are dropped, and so is the question itself, which some adapters echo.
+        Where the order goes back, the answers before were late ones to another question.
+        """
+        for packet in packets:
+            if packet.id not in self.servos or feetech.encode(packet.id, packet.code, packet.params) == self.packet:
+                continue
+            if self.packets and self.servos.index(packet.id) <= self.servos.index(self.packets[-1].id):
+                self.packets.clear()
+            self.packets.append(packet)
 
 
 Event = BusReply | BoardFrame
@@ -88,18 +106,19 @@ class Wire(ABC):
     Attributes:
       board_clock: maps the board's time onto the ROS clock.
       counters: faults so far.
+      wake: read end of a pipe; a byte in it ends a `poll` early, until it is read.
     """
 
     reply_timeout_s = 0.3
-    ping_timeouts_s = (0.5, 1.0, 1.0)  # of each round of pings; a busy machine may be slow to answer
+    check_timeouts_s = (0.5, 1.0, 1.0)  # of each round of the start-up check; a busy machine may be slow to answer
     most_in_flight = 18  # questions that may wait for their answers at once
 
-    def __init__(self, clock: Callable[[], int], wake: int | None) -> None:
+    def __init__(self, clock: Callable[[], int]) -> None:
         self.board_clock = BoardClock()
         self.counters = Counters()
         self.frames = FrameStream()
+        self.wake: int | None = None
         self._clock = clock
-        self._wake = [] if wake is None else [wake]
         self.events: deque[Event] = deque()
         self._tag = 0
         self._sequence = 0
@@ -114,15 +133,15 @@ class Wire(ABC):
         """How long ago a stamp was, by the ROS clock; never negative."""
         return max(0, self._clock() - stamp_ns) * 1e-9
 
-    def submit(self, packet: bytes, replies: int = 0, timeout_s: float | None = None) -> int:
+    def submit(self, packet: bytes, servos: Sequence[int] = (), timeout_s: float | None = None) -> int:
         """Send a packet to the servo bus.
 
         Args:
-          replies: how many servos will answer; a `BusReply` follows if there are any.
+          servos: ids that will answer, in this order; a `BusReply` follows if there are any.
           timeout_s: how long to wait for them; `reply_timeout_s` if not given.
         """
         self._tag = (self._tag + 1) & 0xFFFF
-        self._submit(Request(self._tag, packet, replies, timeout_s or self.reply_timeout_s))
+        self._submit(Request(self._tag, packet, tuple(servos), timeout_s or self.reply_timeout_s))
         return self._tag
 
     def shout(self, packet: bytes) -> None:
@@ -159,9 +178,9 @@ class Wire(ABC):
         self.events.extendleft(reversed(kept))
         return found
 
-    def transact(self, packet: bytes, replies: int, timeout_s: float) -> tuple[Packet, ...]:
-        """Send one packet and wait for its answers; fewer than `replies` after `timeout_s`."""
-        tag = self.submit(packet, replies)
+    def transact(self, packet: bytes, servos: Sequence[int], timeout_s: float) -> tuple[Packet, ...]:
+        """Send one packet and wait for the answers of `servos`; fewer after `timeout_s`."""
+        tag = self.submit(packet, servos)
         return self.gather((tag,), timeout_s).get(tag, ())
 
     def ask_board(self, kind: Kind, payload: bytes, answer: Kind, timeout_s: float) -> Frame | None:
@@ -199,7 +218,7 @@ class Wire(ABC):
 
     def select(self, ports: list[SerialPort], timeout_s: float) -> None:
         try:
-            sources: list[Any] = [*ports, *self._wake]
+            sources: list[Any] = [*ports] if self.wake is None else [*ports, self.wake]
             select.select(sources, [], [], max(0.0, timeout_s))
         except (OSError, ValueError) as error:
             raise LinkLost(f"port {' or '.join(port.path for port in ports)} went away ({error})") from error

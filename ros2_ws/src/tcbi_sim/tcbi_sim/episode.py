@@ -10,6 +10,7 @@ from tcbi_contract.names import JOINT_LIMIT, JOINTS, SLOPE_LIMIT
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Block, Scenario
 from tcbi_sim.tasks import find_task, tasks
+from tcbi_sim.user_tasks import LONGEST_S
 
 MOST_BLOCKS = 64
 
@@ -43,8 +44,8 @@ def requested_scenario(request: Any) -> Scenario:
     faults += [f"{name}: got {value}, allowed is -pi/6 to pi/6 rad" for name, value in outside]
     if not math.isfinite(request.yaw):
         faults.append(f"yaw: got {request.yaw}, allowed is a finite angle, rad")
-    if not 0 <= request.duration < math.inf:
-        faults.append(f"duration: got {request.duration}, allowed is 0 s (the task's own) or more")
+    if not 0 <= request.duration <= LONGEST_S:
+        faults.append(f"duration: got {request.duration}, allowed is 0 s (the task's own) to {LONGEST_S:.0f} s")
     faults += _posture_faults(request.joint_position) + _block_faults(request.blocks)
     if faults:
         raise EpisodeError("reset: " + "; ".join(faults))

@@ -54,7 +54,7 @@ class LiveSimulation:
       model: in use.
       scenario: of the last reset.
       safety: what the robot may do now.
-      refused: commands refused since the last reset.
+      refused: commands refused since the last reset, as told to `refuse`.
       reason: why the last one was.
     """
 
@@ -125,11 +125,7 @@ class LiveSimulation:
         Raises:
           CommandRefused: the robot would refuse it.
         """
-        try:
-            move = self.safety.command(self._now + later_s, target, duration_s)
-        except CommandRefused as error:
-            self.refuse(str(error))
-            raise
+        move = self.safety.command(self._now + later_s, target, duration_s)
         self._begin(move, later_s)
         return move
 
@@ -191,11 +187,11 @@ class LiveSimulation:
         self._simulator.set_torque(True)
 
     def _begin(self, move: Move, later_s: float) -> None:
-        begin = self._simulator.time + later_s
-        if move.arm:
+        path = self._simulator.path
+        if move.arm:  # a servo that wakes up must not go on to an old goal
+            path.hold(np.array([0]), np.array([move.start]), self._rng.spawn(1))
             self._simulator.set_torque(True)
-            self._simulator.path.give(begin, np.array([move.start]), 0.0)
-        self._simulator.path.give(begin, np.array([move.target]), move.duration_s)
+        path.give(self._simulator.time + later_s, np.array([move.target]), move.duration_s)
 
     def _quiet(self, count: int) -> bool:
         """Whether nothing can go limp within `count` samples, so that they may be simulated in one go."""

@@ -74,6 +74,7 @@ class SimNode(Node):
         self._published = 0
         self._unheard = 0  # samples published in lockstep since every listener was known to have them
         self._present: tuple[int, Reading] | None = None  # the last sample, with its stamp in ns
+        self._zero = 0  # ns, stamp of the last reset's sample
         self._listeners = 0  # that it was published to
         self._offer()
         if v.mode == "lockstep":
@@ -190,10 +191,15 @@ class SimNode(Node):
             self._repeat()
 
     def _repeat(self) -> None:
-        """The present once more, for listeners discovered since: a policy without the first sample never acts."""
+        """The present once more, for listeners discovered since: a policy without the first sample never acts.
+
+        A rollout under way repeats its clock alone, so that no recording has a sample twice.
+        """
         listeners = self._count_listeners()
         if self._present and listeners > self._listeners:
-            self._publish(*self._present)
+            stamp, reading = self._present
+            if stamp == self._zero or not self._in_episode:
+                self._publish(stamp, reading)
         self._listeners = listeners
         self._publish_clock()
 
@@ -244,7 +250,7 @@ class SimNode(Node):
             stamp = self.clock.reset(duration, time.monotonic())
         else:
             stamp = self.pacer.restart(time.monotonic_ns(), self._ros_now())
-        self._listeners = self._count_listeners()
+        self._listeners, self._zero = self._count_listeners(), stamp
         self._publish(stamp, reading)
         if self.clock:
             self._publish_clock()
