@@ -7,6 +7,7 @@ import numpy as np
 
 from tcbi_infer.divergence import Binning
 from tcbi_infer.tcbi.features import Features, Observed, divergences
+from tcbi_policy.artefact import find_policy
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model, base_model
@@ -64,3 +65,17 @@ def bench_rollouts(
     rollouts.joint_position += rig.noise.joint_position * rng.standard_normal(rollouts.joint_position.shape)
     found = [rollouts.measurement(0, i, f"steps_{seed}_{i}", "steps") for i in range(count)]
     return model, [dataclasses.replace(m, commands=c) for m, c in zip(found, commands, strict=True)]
+
+
+def hexapod_rollouts(*policies: str, count: int = 2, tilt: float = 0.08, duration: float = 1.0) -> list[Measurement]:
+    """Noiseless rollouts of each policy on its own slopes, begun a few milliseconds late, as on a busy machine."""
+    model, found = base_model("hexapod"), []
+    for name in policies:
+        policy = find_policy(name)
+        scenarios = [Scenario("balance", duration, tilt * (s + 1), -tilt, seed=s) for s in range(count)]
+        out = simulate(model, model.mean()[None], scenarios, controller=policy, timestep=0.01)
+        for s in range(count):
+            m = out.measurement(0, s, f"{name}_{s}", policy.policy_id)
+            late = dataclasses.replace(m.commands, time=m.commands.time + 0.004 * (s + 1))
+            found.append(dataclasses.replace(m, commands=late))
+    return found

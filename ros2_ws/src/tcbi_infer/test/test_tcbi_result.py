@@ -70,6 +70,20 @@ def test_what_has_stopped_falling_is_said_whatever_else_still_falls() -> None:
     assert misfits((GAP, MASS), inside, EQUAL, ["x", "y"], both(1.0, 3.0), both(9.5, 12.0)) == ([], True)
 
 
+def test_one_channel_that_nothing_reproduces_is_said_though_its_statistic_fits_in_the_mean() -> None:
+    def one_of(several: dict[str, float]) -> Generation:
+        notes = {"floor_noise": [1.0], "floor_misfit": [float(np.mean(list(several.values())))], "misfit": several}
+        return Generation(40.0, 0.5, np.zeros(1), notes)
+
+    fine, inside = {f"x/{i}": 0.9 for i in range(17)}, np.full((40, 2), 0.5)
+    (line,), fits = misfits((GAP, MASS), inside, EQUAL, ["x"], one_of(fine | {"x/knee": 8.0}), one_of({"x/knee": 8.1}))
+    assert fits is False and line.startswith("no parameters reproduce x/knee: what remains of its divergence is 8 times")
+    (line,), fits = misfits((GAP, MASS), inside, EQUAL, ["x"], one_of(fine | {"x/knee": 8.0}), one_of({"x/knee": 16.0}))
+    assert fits is None and "x/knee" in line
+    all_fine = one_of(fine | {"x/knee": 5.0})
+    assert misfits((GAP, MASS), inside, EQUAL, ["x"], all_fine, all_fine) == ([], True)
+
+
 @pytest.mark.parametrize("count", [10, 20])
 def test_a_parameter_that_is_not_told_is_called_told_in_one_of_twenty_at_most(count: int) -> None:
     """Posteriors at the limit, of normal shape: of `count` particles; above 6.5 % of 1500 by chance in 1 of 250."""

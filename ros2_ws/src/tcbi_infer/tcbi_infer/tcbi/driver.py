@@ -301,7 +301,7 @@ class _Loop:
 
 def _generation(entry: Mapping[str, Any]) -> Generation:
     """As the history tells it."""
-    notes = {k: entry[k] for k in ("alpha_supported", "floor_noise", "floor_misfit", "best") if k in entry}
+    notes = {k: entry[k] for k in ("alpha_supported", "floor_noise", "floor_misfit", "misfit", "best") if k in entry}
     return Generation(entry["ess"], entry["alpha"], np.asarray(entry["divergence"]), notes)
 
 

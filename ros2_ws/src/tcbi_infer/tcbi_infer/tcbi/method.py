@@ -84,6 +84,7 @@ def _calibrated_step(
         "alpha_supported": info.alpha_supported,
         "floor_noise": info.floor_noise.tolist(),
         "floor_misfit": info.floor_misfit.tolist(),
+        "misfit": dict(zip(observed.channels, info.misfit.tolist(), strict=True)),
         "best": info.best.tolist(),
     }
     return state, Generation(info.ess, info.alpha, info.divergence, notes)

@@ -18,8 +18,9 @@ IDENTIFIED_BELOW = 0.5  # of the prior's variance, with 95 % confidence
 LEAST_ESS = 10  # effective particles, below which nothing is said about what the data tell
 EDGE = 0.02  # share of the range that counts as a bound
 PILED = 0.5  # share of the posterior at a bound that is worth a line
-MISFIT = 4.0  # remaining divergence over noise that is worth a warning
-NEAR = 0.15  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
+MISFIT = 4.0  # remaining divergence over noise, in the mean of a statistic's channels, that is worth a warning
+MISFIT_OF_ONE = 6.0  # the same of a single channel
+NEAR = 0.05  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
 POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
 FALLING = 0.1  # share by which that ratio falls in a generation, from which more of them may still mend it
 UNTOLD = (
@@ -191,8 +192,9 @@ def misfits(
       last: generation.
       before: the generation before it, None if there was none.
     """
-    ratios = dict(zip(statistics, _misfit_ratios(last), strict=False))
-    falling = _falling(ratios, statistics, before)
+    ratios, single = dict(zip(statistics, _misfit_ratios(last), strict=False)), last.notes.get("misfit", {})
+    earlier = {} if before is None else dict(zip(statistics, _misfit_ratios(before), strict=False))
+    falling = _falling(ratios, earlier) | _falling(single, {} if before is None else before.notes.get("misfit", {}))
     bounds = [
         f"the prior of {end.parameter.name} seems to exclude the data: what fits best lies at its {end.at}, "
         "and fits poorly; widen the prior, or an effect is missing"
@@ -200,22 +202,32 @@ def misfits(
         if not end.null and (end.share > PILED or end.best)
     ]
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
+    large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
     lines = bounds if poor.keys() - falling else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
         "the posterior is widened for it, and an effect may be missing (tcbi diagnose)"
-        for name, ratio in poor.items()
-        if ratio > MISFIT and name not in falling
+        for name, ratio in large.items()
+        if name not in falling
     ]
-    untold = [name for name, ratio in poor.items() if name in falling and (ratio > MISFIT or bounds)]
+    untold = [name for name in (large | poor if bounds else large) if name in falling]
     if lines or not untold:
         return lines, not lines
     return [UNTOLD.format(", ".join(untold))], None
 
 
-def _falling(ratios: Mapping[str, float], statistics: Sequence[str], before: Generation | None) -> set[str]:
-    """Statistics of which less remained than a generation ago; all of them where there was none."""
-    earlier = {} if before is None else dict(zip(statistics, _misfit_ratios(before), strict=False))
+def _worst_channels(single: Mapping[str, float], ratios: Mapping[str, float]) -> dict[str, float]:
+    """Of each statistic that fits in the mean of its channels, the channel that does not, the worst of them."""
+    worst = {}
+    for channel in sorted(single, key=lambda name: single[name]):
+        statistic, _, _ = channel.partition("/")
+        if single[channel] > MISFIT_OF_ONE and ratios[statistic] <= MISFIT:
+            worst[statistic] = channel
+    return {channel: single[channel] for channel in worst.values()}
+
+
+def _falling(ratios: Mapping[str, float], earlier: Mapping[str, float]) -> set[str]:
+    """What remained less of than a generation ago; all of it where there was none."""
     return {name for name, ratio in ratios.items() if ratio < (1 - FALLING) * earlier.get(name, np.inf)}
 
 
