@@ -77,7 +77,9 @@ def test_one_channel_that_nothing_reproduces_is_said_though_its_statistic_fits_i
 
     fine, inside = {f"x/{i}": 0.9 for i in range(17)}, np.full((40, 2), 0.5)
     (line,), fits = misfits((GAP, MASS), inside, EQUAL, ["x"], one_of(fine | {"x/knee": 8.0}), one_of({"x/knee": 8.1}))
-    assert fits is False and line.startswith("no parameters reproduce x/knee: what remains of its divergence is 8 times")
+    assert fits is False and line.startswith(
+        "no parameters reproduce x/knee: what remains of its divergence is 8 times"
+    )
     (line,), fits = misfits((GAP, MASS), inside, EQUAL, ["x"], one_of(fine | {"x/knee": 8.0}), one_of({"x/knee": 16.0}))
     assert fits is None and "x/knee" in line
     all_fine = one_of(fine | {"x/knee": 5.0})
