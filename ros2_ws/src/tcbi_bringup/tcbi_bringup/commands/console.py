@@ -85,8 +85,13 @@ def graph_options(args: argparse.Namespace, **more: Any) -> "GraphOptions":
     )
 
 
-def add_hidden(parser: argparse.ArgumentParser) -> None:
-    """What is hidden in an emulated robot."""
+def add_hidden(parser: argparse.ArgumentParser, strength: str = "") -> None:
+    """What is hidden in an emulated robot.
+
+    Args:
+      parser: to add to.
+      strength: where a call gives none; "" for commands whose robot may be another, so that they see that none was given.
+    """
     from tcbi_bringup.emulated_robot.hidden_names import DRAWN, STRENGTHS, hidden
 
     parser.add_argument(
@@ -98,7 +103,7 @@ def add_hidden(parser: argparse.ArgumentParser) -> None:
         f"none; docs/emulated_robot.md lists them (default: drawn from the seed: {', '.join(DRAWN)})",
     )
     parser.add_argument(
-        "--strength", choices=STRENGTHS, default="", help=f"of what is hidden (default: {STRENGTHS[0]})"
+        "--strength", choices=STRENGTHS, default=strength, help=f"of what is hidden (default: {STRENGTHS[0]})"
     )
 
 

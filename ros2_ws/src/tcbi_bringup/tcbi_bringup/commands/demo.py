@@ -21,7 +21,7 @@ NICENESS = 10
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which robot, and how long the story may take."""
     parser.add_argument("--seed", type=at_least(0), default=1, help="number of the robot (default: 1)")
-    console.add_hidden(parser)
+    console.add_hidden(parser, strength="strong")
     parser.add_argument(
         "--quick", action="store_true", help="a shorter story: fewer motions, six effects, little training"
     )

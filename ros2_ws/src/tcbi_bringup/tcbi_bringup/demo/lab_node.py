@@ -39,13 +39,15 @@ class LabNode(Node):
         self._collect = ActionClient(self, CollectRollouts, names.COLLECT_ROLLOUTS)
         self._retrain = ActionClient(self, Retrain, names.RETRAIN)
         self._load = self.create_client(LoadPolicy, names.LOAD_POLICY)
+        self._alive: Callable[[], None] = lambda: None
 
-    def wait(self, alive: Callable[[], None] = lambda: None) -> None:
+    def wait(self, alive: Callable[[], None]) -> None:
         """Wait until the graph's services are there.
 
         Args:
-          alive: called while waiting; raises if a process has failed.
+          alive: raises if a process has failed; called while waiting, now and for answers.
         """
+        self._alive = alive
         for what, name in ((self._collect, names.COLLECT_ROLLOUTS), (self._load, names.LOAD_POLICY)):
             ready = what.server_is_ready if isinstance(what, ActionClient) else what.service_is_ready
             _until(ready, APPEAR_S, f"{name} did not appear within {APPEAR_S:.0f} s", alive)
@@ -122,6 +124,7 @@ class LabNode(Node):
         deadline = time.monotonic() + ANSWER_S
         try:
             while sent.end is None:
+                self._alive()
                 if sent.refused:
                     raise DemoError("an action server refused its goal; is another one under way?")
                 if not sent.taken and time.monotonic() > deadline:
