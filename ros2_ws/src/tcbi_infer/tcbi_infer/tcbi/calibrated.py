@@ -69,7 +69,7 @@ class CalibratedInfo(NamedTuple):
     alpha_supported: float
     floor_noise: np.ndarray  # (statistics,) mean over channels
     floor_misfit: np.ndarray  # (statistics,)
-    misfit: np.ndarray  # (C,) of each channel, over its noise
+    misfit: np.ndarray  # (C,) of each channel, over its noise, or over the mean of its statistic's where that is more
     best: np.ndarray  # (n, P) in [0, 1], the particles that fit best
 
 
@@ -145,7 +145,7 @@ def _weigh(
         alpha_supported=supported,
         floor_noise=observed.by_statistic(floors.noise),
         floor_misfit=observed.by_statistic(floors.misfit),
-        misfit=floors.misfit / floors.noise,
+        misfit=floors.misfit / np.maximum(floors.noise, observed.by_statistic(floors.noise)[observed.statistic]),
         best=from_probit(z[np.argsort(energy, kind="stable")[: calibration.BEST]]),
     )
     converged = before.generation >= 2 and alpha >= 0.99 * supported and _steady(before, z, weights)
