@@ -90,7 +90,7 @@ def add_hidden(parser: argparse.ArgumentParser, strength: str = "") -> None:
 
     Args:
       parser: to add to.
-      strength: where a call gives none; "" for commands whose robot may be another, so that they see that none was given.
+      strength: where a call gives none; "" where the robot may be another, so that it is seen that none was given.
     """
     from tcbi_bringup.emulated_robot.hidden_names import DRAWN, STRENGTHS, hidden
 

@@ -51,7 +51,7 @@ class Prior:
         covariance = np.zeros((z.shape[1], z.shape[1]))
         for part, mean in zip(parts, means, strict=True):
             covariance += ((z[part] - mean) * model.weights[part][:, None]).T @ (z[part] - mean)
-        if covariance.diagonal().max() < LEAST_VARIANCE:
+        if np.max(np.diag(covariance)) < LEAST_VARIANCE:
             by = f" ({model.fit.by} made it)" if model.fit.by else ""
             raise InferError(
                 f"{model.version} is one point and no distribution{by}: as a prior it would leave nothing open; "
@@ -92,7 +92,7 @@ def about(model: Model, prior: str) -> list[str]:
     if (ess := effective_sample_size(model.weights)) < FEW:
         lines.append(f"the prior's width is a guess: {model.version} has {ess:.0f} effective particles")
     if fit.by == DIAGNOSIS:
-        wider = f"{AFTER_DIAGNOSIS:g} times as wide as the diagnosis left it, whose intervals are too narrow"
+        wider = f"{AFTER_DIAGNOSIS:g} times as wide as the diagnosis left it, to be cautious"
         lines.append(f"the prior is what {model.version} says, {wider} (docs/tcbi.md)")
     several = told(model.parameters, model.to_unit(model.particles), model.weights)
     return [*lines, f"the prior keeps what {model.version} left open: {several}"] if several else lines
