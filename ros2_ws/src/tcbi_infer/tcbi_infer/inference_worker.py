@@ -19,6 +19,9 @@ from tcbi_contract.wording import counted
 from tcbi_infer import posterior
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare import compare
+from tcbi_infer.compare.history import common_floor
+from tcbi_infer.compare.noise import NoiseFloor
+from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose.adopt import remember
 from tcbi_infer.errors import BagError
@@ -122,8 +125,9 @@ def run_inference(job: Job, emit: Emit) -> None:
     emit("posterior", **summary(result, saved, moved(reference, result)))
     judged = _held_out(job, emit, model.rig)
     if judged:
-        emit("model_error", role="before", **model_error(reference, judged))
-        emit("model_error", role="after", **model_error(saved, judged))
+        floor = common_floor((saved, reference), Replay.of(saved, judged))
+        emit("model_error", role="before", **model_error(reference, judged, floor))
+        emit("model_error", role="after", **model_error(saved, judged, floor))
 
 
 def _held_out(job: Job, emit: Emit, rig: str) -> list[Measurement]:
@@ -202,9 +206,9 @@ def summary(result: Result, saved: Model, shift: float) -> dict[str, Any]:
     }
 
 
-def model_error(model: Model, measurements: list[Measurement]) -> dict[str, Any]:
+def model_error(model: Model, measurements: list[Measurement], floor: NoiseFloor) -> dict[str, Any]:
     """What `tcbi_msgs/ModelError` holds."""
-    return compare(model, measurements, particles=0).to_json()
+    return compare(model, measurements, particles=0, floor=floor).to_json()
 
 
 def run_diagnosis(job: Job, emit: Emit) -> None:

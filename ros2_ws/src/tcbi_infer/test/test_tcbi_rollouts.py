@@ -10,6 +10,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.rollouts import sample_rate
 from tcbi_policy.errors import PolicyError
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import base_model
@@ -95,6 +96,15 @@ def test_samples_that_were_not_measured_count_nowhere(bench) -> None:
         whole = Problem.of(model, measurements, timestep=0.01).simulate(unit, view=method.view)
         assert all(np.isfinite(part).all() for part in seen if part.size and not np.isnan(part).all())
         assert np.allclose(seen[1 if name == "calibrated" else 0], whole[1 if name == "calibrated" else 0], rtol=0.2)
+
+
+@pytest.mark.parametrize(("recorded", "open_loop", "closed_loop"), [(50, 50, 50), (15, 50 / 3, 25), (9, 50 / 6, 10)])
+def test_slow_recordings_are_simulated_at_a_rate_that_a_controller_can_act_at(recorded, open_loop, closed_loop) -> None:
+    (m,) = hexapod_rollouts("balance", count=1)
+    slow = m.resampled(np.arange(0.0, 1.0, 1 / recorded))
+    model = base_model("hexapod")
+    assert sample_rate(model, [slow], closed_loop=False) == pytest.approx(open_loop)
+    assert sample_rate(model, [slow], closed_loop=True) == pytest.approx(closed_loop)
 
 
 def test_without_its_policy_the_commands_are_replayed_and_that_is_said(bench) -> None:

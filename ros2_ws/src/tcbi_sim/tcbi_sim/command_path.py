@@ -42,8 +42,8 @@ class CommandPath:
         with np.errstate(invalid="ignore", divide="ignore"):
             target = np.where(f.quantum > 0, np.round(target / f.quantum) * f.quantum, target)
         target = np.where(np.abs(target - self._accepted) > f.deadband, target, self._accepted)
-        for i in np.flatnonzero(f.loss > 0):
-            lost[i] |= self._rngs[i].random() < f.loss[i]
+        for i in np.flatnonzero((f.loss > 0) & ~lost):
+            lost[i] = self._rngs[i].random() < f.loss[i]
         self._accepted = np.where(lost[:, None], self._accepted, target)
         activation = np.where(lost[:, None], np.inf, time + f.latency)
         self._pending.append((activation, self._accepted.copy(), ramp))

@@ -135,6 +135,8 @@ class _Reader:
             self.faults.append(
                 f"joints: the model has no hinge {', '.join(map(repr, missing))}; it has {', '.join(hinges)}"
             )
+        if slashed := [j for j in joints if "/" in str(j)]:
+            self.faults.append(f"joints: got {', '.join(map(repr, slashed))}, allowed are names without /; rename them")
         return tuple(j for j in joints if j in hinges)
 
     def _servo(self, spec: mujoco.MjSpec, joints: tuple[str, ...], commands: str) -> dict[str, float]:

@@ -136,6 +136,7 @@ def test_a_motion_may_begin_with_speed(folder):
         ('"arm.xml"', '"leg.xml"', "model: got 'leg.xml'"),
         ('["hinge"]', '["hinge", "knee"]', "no hinge 'knee'; it has hinge"),
         ("gain = 4.0\n[par", "[par", r"give \[servo\] with gain"),
+        ('["hinge"]', '["left/hinge"]', "joints: got 'left/hinge', allowed are names without /"),
         ('["arm"]', '["leg"]', r"parameters.load.bodies: got \['leg'\]"),
         ('sets = "mass"', 'sets = "weight"', "parameters.load.sets: got 'weight', allowed is one of gain"),
         ("low = 0.5", "low = 5.0", "parameters.load: parameter 'load'"),

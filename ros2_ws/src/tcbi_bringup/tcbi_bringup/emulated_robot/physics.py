@@ -24,7 +24,7 @@ from tcbi_bringup.emulated_robot import hidden_effects, mechanics
 from tcbi_bringup.emulated_robot.character import Character
 from tcbi_bringup.emulated_robot.circumstances import Circumstances
 from tcbi_bringup.emulated_robot.gear import GearGap
-from tcbi_bringup.emulated_robot.mechanics import Build, Scene
+from tcbi_bringup.emulated_robot.mechanics import GRAVITY, Build, Scene
 from tcbi_bringup.emulated_robot.sensors import POLL_TICKS, Encoders, FootSwitches, Imu
 from tcbi_bringup.emulated_robot.servos import LOOP_PERIOD_S, STEP, Move, Servos
 
@@ -154,7 +154,10 @@ class Physics:
         self._encoder = np.rint(self.shaft / STEP) * STEP
         chip = np.zeros(4)
         mujoco.mju_mulQuat(chip, self.true_attitude(), np.array(mechanics.tilted(*self._build.imu_tilt)))
-        self._imu.reset(chip, self._motion[3:])
+        at_rest = np.zeros(3)  # seen by the chip; the robot has yet to fall the last hair
+        mujoco.mju_negQuat(chip_back := np.zeros(4), chip)
+        mujoco.mju_rotVecQuat(at_rest, np.array([0.0, 0.0, GRAVITY]), chip_back)
+        self._imu.reset(chip, at_rest)
         self._switches.reset()
         self._polled.clear()
 

@@ -50,7 +50,7 @@ def history(models: Sequence[Model], measurements: Sequence[Measurement] = ()) -
         return [VersionError(m.version, m.parent, m.effects, _kept(m, models)) for m in models]
     replay = Replay.of(models[0], unseen)
     names = tuple(m.rollout_id for m in replay.measurements)
-    floor = _floor(models, replay)
+    floor = common_floor(models, replay)
     return [
         VersionError(m.version, m.parent, m.effects, error_figure(m, unseen, floor=floor), names, floor.from_replicates)
         for m in models
@@ -79,8 +79,8 @@ def remember(lines: Sequence[VersionError], folder: Path, rig: str, not_counted:
     return path
 
 
-def _floor(models: Sequence[Model], replay: Replay) -> NoiseFloor:
-    """From repeats, else from the residual of the first version that predicts every rollout."""
+def common_floor(models: Sequence[Model], replay: Replay) -> NoiseFloor:
+    """One for several versions: from repeats, else from the residual of the first one that predicts every rollout."""
     residual = replay.measured
     for model in models:
         predicted = replay.by_rollout(replay.predict(model, model.mean()[None])[0])

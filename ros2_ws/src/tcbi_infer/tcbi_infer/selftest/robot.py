@@ -81,7 +81,7 @@ class Robot:
         out = simulate(
             truth,
             np.repeat(values[None], len(trials), axis=0),
-            [put_down(m.scenario, rig, rng) for m, _ in trials],
+            [dataclasses.replace(put_down(m.scenario, rig, rng), seed=int(rng.integers(2**32))) for m, _ in trials],
             commands=[m.commands for m, _ in trials],
             pairing="zip",
             timestep=TIMESTEP,

@@ -29,7 +29,7 @@ from tcbi_infer.tcbi.result import Result, estimates, misfits, piled, prior_vari
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 from tcbi_sim.engine import SimError
 from tcbi_sim.errors import UnknownNameError
-from tcbi_sim.ray_workers import own_files
+from tcbi_sim.ray_workers import versions
 
 LEAST_PARTICLES = 10  # a generation; from fewer no spread can be told
 BOUNDS: dict[str, tuple[float, float]] = {  # of a method's settings; of others: 0 or more, of whole numbers 1 or more
@@ -117,12 +117,12 @@ def _checked(name: str, value: float, default: float) -> float:
 
 
 def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
-    """A name for an inference: the same for the same rollouts, model, method, settings, seed and files of one's own."""
+    """A name for an inference: the same for the same rollouts, model, method, settings, seed and versions."""
     what = {
         "model": problem.model.version,
         "effects": problem.model.effects,
         "rollouts": [_digest(m) for g in problem.groups for m in g.measurements],
-        "own": own_files(),
+        "versions": versions(),
         "statistics": problem.observed.channels,
         "closed": [controller is not None for controller in problem.controllers],
         "timestep": problem.timestep,

@@ -107,7 +107,7 @@ class Problem:
             )
         known, warnings = Prior.of(model) if prior == MODEL else None, [*warnings, *about(model, prior)]
         controllers, said = find_controllers(usable, loop, policies)
-        rate = sample_rate(model, usable)
+        rate = sample_rate(model, usable, closed_loop=bool(controllers))
         groups = grouped(usable, rate, acting=controllers)
         kept, left_out = _common(statistics, groups)
         parts = [[samples(statistic, g.arrays) for statistic in kept] for g in groups]

@@ -128,11 +128,16 @@ def blocks_for(rollouts: int) -> int:
     return -(-ENOUGH // rollouts)
 
 
-def sample_rate(model: Model, measurements: Sequence[Measurement]) -> float:
-    """The rig's rate, or an integer fraction of it where the recordings are slower (Hz)."""
+def sample_rate(model: Model, measurements: Sequence[Measurement], closed_loop: bool) -> float:
+    """The rig's rate, or an integer fraction of it where the recordings are slower (Hz).
+
+    In closed loop it is one with whole samples in a control period.
+    """
     recorded = min(float(1 / np.median(np.diff(m.time))) for m in measurements)
     rate = load_rig(model.rig).rate
-    return rate / max(1, round(rate / recorded))
+    rates = [rate / n for n in range(max(1, round(rate / recorded)), 0, -1)]
+    fitting = [r for r in rates if not closed_loop or abs(r * CONTROL_PERIOD_S - round(r * CONTROL_PERIOD_S)) < 1e-6]
+    return next(iter(fitting), rate)
 
 
 def grouped(measurements: Sequence[Measurement], rate: float, acting: Container[str]) -> list[Group]:

@@ -24,6 +24,9 @@ def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
             range=[-GAP, GAP],
             damping=[PLAY_DAMPING, 0, 0],
             armature=1e-4,
+            frictionloss=0,  # these three, too, in place of a model file's defaults
+            stiffness=[0, 0, 0],
+            springref=0,
             solref_limit=[0.01, 1.0],
             solimp_limit=[0.99, 0.999, 0.001, 0.5, 2.0],
         )
