@@ -94,7 +94,7 @@ class State:
     time: float  # s
     joint_position: np.ndarray  # (B, J) rad
     joint_velocity: np.ndarray  # (B, J) rad/s
-    actuator_force: np.ndarray  # (B, J) N m that the gears carry: of the motors, less what back-EMF takes
+    actuator_force: np.ndarray  # (B, J) N m of the motors, before back-EMF takes its part
 
 
 @dataclass(frozen=True)

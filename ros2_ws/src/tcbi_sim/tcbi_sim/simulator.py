@@ -395,11 +395,9 @@ class Simulator:
         return sense(delay(source, sensing.latency, raw.time), sensing)
 
     def _state(self) -> State:
-        velocity = self._batch.bind("qvel")[:, self._dofs]
-        back_emf = np.where(self._torque_on[:, None], self.fields.powered_damping, 0.0) * velocity
         return State(
             self.time,
             self._batch.bind("qpos")[:, self._qpos],
-            velocity,
-            self._actuator_force[:, self._actuators] - back_emf,
+            self._batch.bind("qvel")[:, self._dofs],
+            self._actuator_force[:, self._actuators],
         )

@@ -14,7 +14,6 @@ from tcbi_sim.measurement import Commands, Scenario, roll_pitch_yaw
 from tcbi_sim.mjcf import materialise
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs import load_rig
-from tcbi_sim.rigs.servo_bench import BACK_EMF
 from tcbi_sim.simulator import Simulator
 from tcbi_sim.user_effects import incomplete, unusable
 
@@ -296,14 +295,3 @@ def test_which_packets_a_robot_loses_does_not_depend_on_the_robots_beside_it():
     alone = simulate(model, row[None], [scenario], commands=[own]).joint_position[0, 0]
     beside = simulate(model, row[None], [scenario, scenario], commands=[own, other]).joint_position[0, 0]
     np.testing.assert_array_equal(alone, beside)
-
-
-def test_gears_carry_what_back_emf_leaves_of_a_motors_torque():
-    simulator = bench("load_friction", share=0.3)
-    simulator.command(np.zeros((2, 1)), ramp=0.0)
-    simulator.advance(0.1)
-    _, data = simulator.materialise()
-    torque = data.actuator_force[0] - BACK_EMF * data.qvel[0]
-    assert abs(BACK_EMF * data.qvel[0]) > 0.05 * abs(data.actuator_force[0])
-    simulator.advance(1 / simulator.rate)
-    assert simulator.fields.memory["load_friction"][0, 0] == pytest.approx(0.3 * abs(torque), rel=1e-6)
