@@ -19,7 +19,6 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
     _add_inertia(fields, trunk, old * added / total, offset)
     center[:, trunk] += offset * (added / total)[:, None]
     mass[:, trunk] = total
-    fields.model["body_sameframe"][:, trunk] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
 
 def _add_inertia(fields: Fields, body: int, reduced: np.ndarray, offset: np.ndarray) -> None:
