@@ -18,6 +18,8 @@ from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract import messages, names
 from tcbi_msgs.msg import Block, FootContacts, RolloutEvent
 from tcbi_msgs.srv import LoadModel, ResetEpisode
+from tcbi_sim.model import base_model
+from tcbi_sim.store import ModelStore
 
 pytestmark = pytest.mark.graph
 
@@ -216,6 +218,25 @@ def test_stamps_go_on_over_resets_and_model_loads(start_graph, peer, store):
     peer.wait_until(lambda: len(policy.raw[names.JOINT_STATES]) >= 1, "the sample after the load")
     stamps += policy.stamps(names.JOINT_STATES)
     assert all(b > a for a, b in itertools.pairwise(stamps))
+
+
+def test_a_reset_and_a_load_take_the_model_version_that_they_name(start_graph, peer, store):
+    heavy = ModelStore(store).save(base_model("hexapod").with_effect("payload"))
+    start_graph(sim(store=store, model="hexapod-v0", noise=False))
+    policy = Policy(peer)
+    heights = []
+    for model in ("hexapod-v0", heavy.version):
+        answer = policy.reset(task="balance", seed=1, duration=1.0, model=model)
+        assert answer.message.endswith(f"on {model}")
+        peer.wait_until(policy.poses, "the first pose")
+        heights.append(policy.poses()[0].pose.position.z)
+    assert heights[1] < heights[0] - 1e-4, "the servos give way under the payload"
+    loaded = peer.call(names.LOAD_MODEL, LoadModel.Request(model="hexapod-v0"), LoadModel)
+    assert loaded.success and loaded.model == "hexapod-v0"
+    again = policy.reset(task="balance", seed=1, duration=1.0)
+    peer.wait_until(policy.poses, "the first pose")
+    assert again.message.endswith("on hexapod-v0")
+    assert policy.poses()[0].pose.position.z == heights[0]
 
 
 def test_what_cannot_be_is_refused_in_one_line_and_nothing_moves(start_graph, peer, store):

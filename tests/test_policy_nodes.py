@@ -271,7 +271,25 @@ def test_retraining_is_cancelled_at_once_and_resumed_and_says_whether_the_result
     peer.result(sent.handle.cancel_goal_async(), "the answer to the cancellation")
     result = peer.end(sent, "the end of the cancelled goal", 10.0).result
     assert not result.success and "cancelled" in result.message
-    result = peer.end(peer.send(client, Retrain, goal), "the result", 110.0).result
+    sent = peer.send(client, Retrain, goal, feedback.append)
+    peer.wait_until(lambda: feedback[-1].feedback.steps > 0, "steps, which its end tells at the latest", 110.0)
+    told = feedback[-1].feedback
+    assert np.isfinite(told.mean_return) and 0 <= told.remaining_s <= goal.budget_s
+    result = peer.end(sent, "the result", 110.0).result
     assert result.success, result.message
     assert result.accepted == (result.message.startswith("better"))
     assert np.isfinite([result.return_before, result.return_after]).all()
+
+
+@pytest.mark.slow
+def test_a_better_policy_is_swapped_in_and_the_policy_node_says_so(start_graph: Any, peer: Any, tmp_path: Any) -> None:
+    retrain = NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(tmp_path)})
+    start_graph(policy_node(policy="gait:dither", store=str(tmp_path)), retrain)
+    status = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(status), "the policy in use")
+    client = ActionClient(peer.node, Retrain, names.RETRAIN)
+    goal = Retrain.Goal(task="balance", policy="balance", budget_steps=1)
+    result = peer.end(peer.send(client, Retrain, goal), "the result", 110.0).result
+    assert result.accepted and result.return_after > result.return_before, result.message
+    peer.wait_until(lambda: status[-1].data.startswith("balance-1@"), "the successor in use")
+    assert result.message.endswith(f"now in use as {status[-1].data}")

@@ -30,6 +30,7 @@ from tests.conftest import ros_in_process
 
 pytestmark = pytest.mark.graph
 
+OF_EVERY_NODE = ("parameter_events", "rosout")
 STREAMS = {names.JOINT_STATES: JointState, names.IMU: Imu, names.FOOT_CONTACTS: FootContacts}
 NODES = ("sim_node", "driver_node")
 BODY = Path(__file__).with_name("simulated_body.py")
@@ -120,7 +121,7 @@ def endpoints(peer: Any, topic: str) -> list[tuple[str, ReliabilityPolicy, Durab
 
 
 def test_every_field_of_every_topic_is_alike(start_graph, peer, port, tmp_path):
-    shapes, offered, services = {}, {}, {}
+    shapes, offered, services, published = {}, {}, {}, {}
     for node in NODES:
         graph = start_graph(process(node, port, tmp_path / "store"))
         listener = Listener(peer)
@@ -138,12 +139,15 @@ def test_every_field_of_every_topic_is_alike(start_graph, peer, port, tmp_path):
         here = dict(peer.node.get_service_names_and_types_by_node(node, "/"))
         wanted = (names.RESET_EPISODE, names.EMERGENCY_STOP, names.RELEASE_EMERGENCY_STOP)
         services[node] = {service: here[f"/{service}"] for service in wanted}
+        published[node] = {t.lstrip("/") for t, _ in peer.node.get_publisher_names_and_types_by_node(node, "/")}
         graph.stop(node)
         for subscription in list(peer.node.subscriptions):
             peer.node.destroy_subscription(subscription)
     assert shapes["sim_node"] == shapes["driver_node"]
     assert offered["sim_node"] == offered["driver_node"]
     assert services["sim_node"] == services["driver_node"]
+    assert published["driver_node"] == {*STREAMS, names.DIAGNOSTICS, *OF_EVERY_NODE}
+    assert published["sim_node"] == published["driver_node"] | {names.TRACKER_POSE}, "nothing else of its truth"
     reliable = (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
     for topic, kind in (*STREAMS.items(), (names.DIAGNOSTICS, DiagnosticArray)):
         package, module = kind.__module__.split(".")[0], kind.__name__

@@ -171,7 +171,9 @@ def is_locked(folder: Path) -> bool:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_program_of_the_present_step_too(tmp_path, number):
+    before = signal.signal(number, signal.default_int_handler)  # nohup has SIGHUP ignored, by those started here too
     process, group = started_set_up(tmp_path)
+    signal.signal(number, before)
     process.send_signal(number)
     assert process.wait(30) == 130
     with pytest.raises(ProcessLookupError):

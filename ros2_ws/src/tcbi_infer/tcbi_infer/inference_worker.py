@@ -24,7 +24,7 @@ from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose.adopt import remember
-from tcbi_infer.errors import BagError
+from tcbi_infer.errors import BagError, InferError
 from tcbi_infer.tcbi.driver import Progress, infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
@@ -33,6 +33,7 @@ from tcbi_infer.worker_process import Emit, serve
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
+from tcbi_sim.workers import Here, using
 
 INFER, DIAGNOSE = "infer", "diagnose"
 DRAWS = 200  # equally weighted particles that a message carries
@@ -121,22 +122,31 @@ def run_inference(job: Job, emit: Emit) -> None:
         generations=job.generations,
     )
     saved = posterior.save(store, result)
-    reference = store.load(job.reference, model.rig) if job.reference else model
+    reference = _reference(job, store, model)
     emit("posterior", **summary(result, saved, moved(reference, result)))
-    judged = _held_out(job, emit, model.rig)
-    if judged:
-        floor = common_floor((saved, reference), Replay.of(saved, judged))
-        emit("model_error", role="before", **model_error(reference, judged, floor))
-        emit("model_error", role="after", **model_error(saved, judged, floor))
-
-
-def _held_out(job: Job, emit: Emit, rig: str) -> list[Measurement]:
-    """What can be judged on; empty where nothing can, which is no reason to lose the posterior."""
     try:
-        return usable(job.held_out, emit, rig)
-    except BagError as e:
+        _judge((reference, saved), usable(job.held_out, emit, model.rig), emit)
+    except InferError as e:  # no reason to lose the posterior
         emit("warning", message=f"no error is judged: {e}")
-        return []
+
+
+def _reference(job: Job, store: ModelStore, model: Model) -> Model:
+    """What shift and error are measured from; a version of another rig says nothing of this one."""
+    reference = store.load(job.reference, model.rig) if job.reference else model
+    return reference if reference.rig == model.rig else model
+
+
+def _judge(versions: tuple[Model, Model], held_out: list[Measurement], emit: Emit) -> None:
+    """The errors of the version before and of that after, over one floor, on rollouts that were held out.
+
+    Raises:
+      CompareError: these cannot be replayed.
+    """
+    if not held_out:
+        return
+    floor = common_floor(versions[::-1], Replay.of(versions[0], held_out))
+    for role, version in zip(("before", "after"), versions, strict=True):
+        emit("model_error", role=role, **model_error(version, held_out, floor))
 
 
 def moved(before: Model, result: Result) -> float:
@@ -233,7 +243,8 @@ def main() -> int:
 
     def run(line: str, emit: Emit) -> None:
         job = Job.from_json(line)
-        {INFER: run_inference, DIAGNOSE: run_diagnosis}[job.kind](job, emit)
+        with using(Here(threads=job.threads)):
+            {INFER: run_inference, DIAGNOSE: run_diagnosis}[job.kind](job, emit)
 
     return serve(run)
 

@@ -16,15 +16,16 @@ import pytest
 from builtin_interfaces.msg import Time
 from tcbi_cases import bench_rollouts
 
-from tcbi_infer import rollout_folder
+from tcbi_infer import inference_worker, rollout_folder
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.recovery import recover
 from tcbi_infer.errors import BagError
-from tcbi_infer.inference_worker import INFER, Job, moved, run_inference, usable
+from tcbi_infer.inference_worker import DIAGNOSE, INFER, Job, moved, run_inference, usable
 from tcbi_infer.rollout_folder import QUIET_S, RolloutFolder
 from tcbi_infer.worker_process import Worker, finite, serve
 from tcbi_sim.model import base_model
 from tcbi_sim.store import ModelStore
+from tcbi_sim.workers import present
 
 DEADLINE_S = 100.0
 
@@ -101,8 +102,9 @@ def test_a_bag_that_vanishes_while_it_is_looked_at_is_passed_over(bags: Path, mo
 
 def job(bags: Path, tmp_path: Path, **changes: object) -> Job:
     fit, judge = sorted(map(str, bags.iterdir()))[:4], sorted(map(str, bags.iterdir()))[4:]
-    values = {"bags": tuple(fit), "held_out": tuple(judge), "particles": 20, "generations": 2}
-    return Job(INFER, str(tmp_path / "store"), "servo_bench-v0", **(values | changes))  # type: ignore[arg-type]
+    values = {"kind": INFER, "model": "servo_bench-v0", "bags": tuple(fit), "held_out": tuple(judge)}
+    values |= {"particles": 20, "generations": 2}
+    return Job(store=str(tmp_path / "store"), **(values | changes))  # type: ignore[arg-type]
 
 
 def test_a_job_survives_the_way_to_the_worker(bags: Path, tmp_path: Path) -> None:
@@ -121,6 +123,40 @@ def test_an_inference_judges_before_and_after_on_rollouts_that_it_did_not_fit(ba
     assert not set(after["rollouts"]) & set(found["source_rollouts"])
     assert np.isfinite(found["moved"]) and json.loads(json.dumps(finite(found)))
     assert ModelStore(tmp_path / "store").load("servo_bench-v1").evidence["inference"]["method"] == "calibrated"
+
+
+def test_a_reference_of_another_rig_is_passed_over_for_the_model_itself(bags: Path, tmp_path: Path) -> None:
+    events: list[tuple[str, dict]] = []
+    asked = job(bags, tmp_path, model="latest", reference="hexapod-v0", generations=1)
+    run_inference(asked, lambda event, **content: events.append((event, content)))
+    errors = [content["model"] for kind, content in events if kind == "model_error"]
+    assert errors == ["servo_bench-v0", "servo_bench-v1"]
+    assert np.isfinite(next(content["moved"] for kind, content in events if kind == "posterior"))
+
+
+def test_rollouts_to_judge_on_that_cannot_be_replayed_cost_no_posterior(bags: Path, tmp_path: Path) -> None:
+    whole = bench_rollouts(count=1, duration=2.0)[1][0]
+    idle = dataclasses.replace(whole.commands, time=np.empty(0), target=np.empty((0, 1)))
+    silent = write_measurement(tmp_path / "others", dataclasses.replace(whole, rollout_id="idle", commands=idle))
+    events: list[tuple[str, dict]] = []
+    asked = job(bags, tmp_path, held_out=(str(silent),), generations=1)
+    run_inference(asked, lambda event, **content: events.append((event, content)))
+    told = [content["message"] for kind, content in events if kind == "warning"]
+    assert any(m.startswith("no error is judged") and "joint_commands" in m for m in told), told
+    assert "posterior" in [kind for kind, _ in events]
+
+
+def test_a_job_uses_as_many_threads_as_it_is_given(bags: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: list[int] = []
+
+    def diagnosis(job: Job, emit: object) -> None:
+        threads.append(present().threads)
+
+    monkeypatch.setattr(inference_worker, "run_diagnosis", diagnosis)
+    asked = job(bags, tmp_path, kind=DIAGNOSE, threads=1)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(asked.to_json() + "\n"))
+    assert inference_worker.main() == 0
+    assert threads == [1]
 
 
 def test_after_each_generation_but_the_last_the_posterior_so_far_is_told_as_such(bags: Path, tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import math
+import os
+import signal
 import time
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import randomised
 from tcbi_policy.retraining import OUTCOME, Job, better_than_another, next_name, plan, reference_of, retrain
-from tcbi_policy.runs import Run
+from tcbi_policy.runs import Run, TrainingProcess
 from tcbi_policy.training import Training
 from tcbi_policy.training_process import ACCEPTANCE_SEED, compare_held_out
 from tcbi_sim.store import ModelStore
@@ -237,6 +239,25 @@ def test_a_cancelled_job_ends_within_a_second_and_goes_on_later(tmp_path: Path) 
     assert outcome.cancelled and time.monotonic() - cancelled_at[0] < 1.0
     assert list((tmp_path / "runs").glob("retrain-balance-*/checkpoint.safetensors"))
     assert "balance-1" not in policy_paths(tmp_path)
+
+
+@SUBPROCESS
+def test_a_training_whose_process_is_killed_goes_on_in_another_one(tmp_path: Path) -> None:
+    events: list[dict[str, Any]] = []
+    processes: list[TrainingProcess] = []
+
+    def begun() -> TrainingProcess:
+        processes.append(TrainingProcess())
+        return processes[-1]
+
+    def heard(event: dict[str, Any]) -> None:
+        events.append(event)
+        if len(processes) == 1 and event["event"] == "progress" and event["steps"]:
+            os.kill(processes[0].pid, signal.SIGKILL)
+
+    outcome = retrain(job(tmp_path), heard, process=begun)
+    assert len(processes) == 2 and not outcome.cancelled
+    assert [e["event"] for e in events if e["event"] in ("restarted", "comparison")] == ["restarted", "comparison"]
 
 
 def test_a_policy_id_stands_for_a_name_only_as_long_as_the_name_holds_it(tmp_path: Path) -> None:

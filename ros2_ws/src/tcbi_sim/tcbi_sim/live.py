@@ -20,7 +20,7 @@ from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
-from tcbi_sim.sensing import Samples, add_noise
+from tcbi_sim.sensing import Samples, add_noise, tilted
 
 NOISE_STREAM, DRAW_STREAM = 104_729, 1_299_709  # children of a seed, apart from those of scenario and engine
 POSTURE_RAMP_S = 0.2
@@ -32,11 +32,11 @@ class Reading:
 
     Attributes:
       joint_position: (J,) rad.
-      orientation: (4,) base in world, x y z w.
+      orientation: (4,) base in world, x y z w, as the IMU tells it.
       angular_velocity: (3,) rad/s in `imu_link`.
       linear_acceleration: (3,) m/s^2 with gravity in `imu_link`.
       contact: (F,) bool.
-      position: (3,) m, base in world, as a tracker sees it.
+      position, facing: (3,) m and (4,) x y z w, base in world, as a tracker beside the robot sees it.
     """
 
     joint_position: np.ndarray
@@ -45,6 +45,7 @@ class Reading:
     linear_acceleration: np.ndarray
     contact: np.ndarray
     position: np.ndarray
+    facing: np.ndarray
 
 
 class LiveSimulation:
@@ -198,11 +199,14 @@ class LiveSimulation:
         return self.safety.patience(self._now) > (count + 1) * self.period
 
     def _readings(self, samples: Samples) -> list[Reading]:
+        facing = self._simulator.unsensed(len(samples.time)).attitude
+        assert facing is not None
         if self._noise:
             samples = add_noise(samples, self._rig.noise, self._rng)
+            facing = tilted(facing, self._rig.noise.attitude, self._rng)
         assert samples.attitude is not None and samples.angular_velocity is not None
         assert samples.linear_acceleration is not None and samples.contact is not None and samples.position is not None
-        orientation = np.roll(samples.attitude, -1, axis=-1)
+        orientation, facing = np.roll(samples.attitude, -1, axis=-1), np.roll(facing, -1, axis=-1)
         self.safety.measured(float(samples.time[-1]), samples.joint_position[0, -1].tolist())
         return [
             Reading(
@@ -212,6 +216,7 @@ class LiveSimulation:
                 samples.linear_acceleration[0, k],
                 samples.contact[0, k],
                 samples.position[0, k],
+                facing[0, k],
             )
             for k in range(len(samples.time))
         ]

@@ -29,22 +29,24 @@ class Pacer:
         self._last = -period_ns  # last stamp given
 
     def restart(self, steady: int, ros: int) -> int:
-        """A new grid from now on: the stamp of its zero, later than every stamp given before."""
-        self._steady0, self._count = steady, 0
-        self._offset = max(ros, self._last + self._period) - steady
-        self._last = steady + self._offset
-        return self._last
+        """A new grid from now on, as at a reset: the stamp of its zero.
+
+        Later than every stamp given before, unless the ROS clock was set back by more than MAX_LAG_NS since: commands
+        with the clock's own stamps would be refused for good on a grid that stays ahead of it.
+        """
+        set_back = ros < self._last - MAX_LAG_NS
+        return self._begin(steady, ros if set_back else max(ros, self._last + self._period))
 
     def due(self, steady: int, ros: int) -> int:
         """How many samples should exist by now and do not.
 
         Jumps forward if more than MAX_LAG_NS behind, or if the ROS clock ran ahead of the grid. A clock that was set
-        back is followed at the next `restart`, since stamps never go back.
+        back is followed at the next `restart`, since stamps never go back in between.
         """
         behind = steady - self._steady0 - self._count * self._period
         if behind > MAX_LAG_NS or ros - steady - self._offset > MAX_DRIFT_NS:
             self.slips += 1
-            self.restart(steady, ros)
+            self._begin(steady, max(ros, self._last + self._period))
             return 0
         return max(0, behind // self._period)
 
@@ -58,3 +60,8 @@ class Pacer:
         """Seconds from the last sample to now, at most one period: where before the coming sample a command falls."""
         behind = steady - self._steady0 - self._count * self._period
         return 1e-9 * min(max(behind, 0), self._period)
+
+    def _begin(self, steady: int, stamp: int) -> int:
+        self._steady0, self._count = steady, 0
+        self._offset, self._last = stamp - steady, stamp
+        return stamp

@@ -127,14 +127,14 @@ def add_noise(samples: Sensed, noise: Noise, rng: np.random.Generator) -> Sensed
     return dataclasses.replace(
         samples,
         joint_position=joints,
-        attitude=None if samples.attitude is None else _tilted(samples.attitude, noise.attitude, rng),
+        attitude=None if samples.attitude is None else tilted(samples.attitude, noise.attitude, rng),
         angular_velocity=noisy(samples.angular_velocity, noise.angular_velocity),
         linear_acceleration=noisy(samples.linear_acceleration, noise.linear_acceleration),
         position=noisy(samples.position, noise.position),
     )
 
 
-def _tilted(attitude: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
+def tilted(attitude: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
     """(..., 4) quaternions turned about a random axis, `sd` (rad) about each of the body's."""
     half = sd / 2 * rng.standard_normal((*attitude.shape[:-1], 3))
     turned = multiply(attitude, np.concatenate([np.ones((*half.shape[:-1], 1)), half], axis=-1))

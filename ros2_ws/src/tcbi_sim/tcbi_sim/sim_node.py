@@ -107,7 +107,7 @@ class SimNode(Node):
         self._imu.publish(messages.imu(stamp, reading.orientation, gyro, force))
         self._contacts.publish(messages.foot_contacts(stamp, reading.contact))
         if self._tracker:
-            self._tracker.publish(messages.tracker_pose(stamp, reading.position, reading.orientation))
+            self._tracker.publish(messages.tracker_pose(stamp, reading.position, reading.facing))
         self._present = stamp_ns, reading
         self._published += 1
 

@@ -214,7 +214,12 @@ class Simulator:
     def observe(self) -> Samples:
         """The sensors' readings at the present time, (B, 1, ...)."""
         assert self._raw is not None
-        return self._readings(self._raw.map(lambda v: v[:, -1:]), self._raw.time[-1:])
+        return self._readings(self.unsensed(1), self._raw.time[-1:])
+
+    def unsensed(self, count: int) -> Samples:
+        """The true signals at the times of the latest `count` readings, (B, count, ...), of one `advance` at most."""
+        assert self._raw is not None
+        return dataclasses.replace(self._raw.map(lambda v: v[:, -count:]), time=self._raw.time[-count:])
 
     # -- inside ---------------------------------------------------------------------------------------------------
 
@@ -377,7 +382,7 @@ class Simulator:
 
     def _remember(self, new: Samples) -> None:
         joined = new if self._raw is None else Samples.concatenate([self._raw, new])
-        keep = round(MEMORY_S * self.rate)
+        keep = max(round(MEMORY_S * self.rate), len(new.time))
         recent = joined.map(lambda values: values[:, -keep:])
         self._raw = dataclasses.replace(recent, time=joined.time[-keep:])
 
@@ -392,7 +397,8 @@ class Simulator:
             return sense(raw, sensing)
         source = self._raw if history is None else Samples.concatenate([history, raw])
         assert source is not None
-        return sense(delay(source, sensing.latency, raw.time), sensing)
+        late = delay(source, sensing.latency, raw.time)
+        return sense(dataclasses.replace(late, position=raw.position), sensing)  # the tracker is none of the robot's
 
     def _state(self) -> State:
         return State(

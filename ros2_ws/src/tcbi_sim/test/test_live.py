@@ -144,6 +144,23 @@ def test_a_command_given_between_samples_acts_from_then(model):
     assert moved[0] > 2 * moved[1] > 0
 
 
+def test_a_tracker_sees_the_body_and_not_what_the_robots_own_sensors_make_of_it(model):
+    worn = model.with_effect("imu_tilt").with_effect("sensor_latency")
+    seen = []
+    for size in (0.0, 0.1):
+        particles = np.array([[size if "." in p.name else p.nominal for p in worn.parameters]])
+        drawn = dataclasses.replace(worn, particles=particles, log_weights=np.zeros(1))
+        live = LiveSimulation(drawn, BALANCE, noise=False)
+        readings = [live.reset(BALANCE)]
+        live.command([0.3] * len(JOINTS), 0.2)
+        seen.append(readings + live.advance(10) + live.advance(3))
+    for true, told in zip(*seen, strict=True):
+        np.testing.assert_allclose(told.facing, true.facing, atol=1e-12)
+        np.testing.assert_allclose(told.position, true.position, atol=1e-12)
+    assert abs(seen[1][-1].orientation - seen[1][-1].facing).max() > 0.04
+    assert abs(seen[0][-1].orientation - seen[0][-1].facing).max() < 1e-12
+
+
 def test_a_rig_that_is_no_walking_robot_is_refused():
     with pytest.raises(SimError, match="servo_bench"):
         LiveSimulation(base_model("servo_bench"), Scenario("bench", 1.0))

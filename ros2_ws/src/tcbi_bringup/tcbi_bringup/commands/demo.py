@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "./tcbi demo                              # some hidden effect, about six minutes on two cores",
         "./tcbi demo --quick --hidden backlash",
-        "./tcbi demo --hidden none                # must end in: nothing is missing",
+        "./tcbi demo --hidden none                # should end in: nothing is missing",
         "./tcbi demo --seed 7 --json > demo.json",
     )
 
