@@ -57,7 +57,7 @@ def position_servos(rig: Rig) -> str:
 
 def torque_limited(rig: Rig) -> str:
     """Only for rigs whose servos have a greatest torque."""
-    return "" if rig.has_torque_limit else "its servos have no torque limit"
+    return "" if rig.has_torque_limit else "not every servo of it has a torque limit"
 
 
 def floating_rig(rig: Rig) -> str:

@@ -172,7 +172,7 @@ class Chunk(NamedTuple):
     parameters: np.ndarray
     scenarios: list[Scenario]
     commands: list[Commands] | None
-    repeats: Sequence[int] = ()  # see `_repeats`; of a closed loop
+    repeats: Sequence[int] = ()  # see `_repeats`; without, each scenario is taken for the first of its seed
 
 
 def _repeats(scenarios: Sequence[Scenario]) -> list[int]:
@@ -204,7 +204,7 @@ def _simulated(
 ) -> Part:
     """What a chunk's simulations do; of the others in the call it knows nothing."""
     threads = present().threads or threads
-    simulator = Simulator(model, chunk.parameters, chunk.scenarios, timestep, threads, rate, solver)
+    simulator = Simulator(model, chunk.parameters, chunk.scenarios, timestep, threads, rate, solver, chunk.repeats)
     if controller is not None:
         return _closed_loop(simulator, controller, noise, chunk)
     assert chunk.commands is not None

@@ -87,6 +87,7 @@ class Fields:
     powered_damping: np.ndarray  # (B, J) N m s/rad, back-EMF: damping of a joint while its servo has power
     compliance: np.ndarray  # (B, J) rad/(N m), of the links: how far each bends beyond its servo
     strength: np.ndarray  # (B, J) share of stiffness and greatest torque that servos have just now; `update` may write
+    stall_torque: np.ndarray  # (B, J) N m, greatest torque at full strength, 1 where there is no limit; for `update`
     begins: np.ndarray  # (B,) bool, which simulations `apply` is called for at the start of an episode; others go on
     memory: dict = field(default_factory=dict)  # state of effects that change with time, by use of the effect
 
@@ -124,11 +125,6 @@ class Fields:
     def actuators(self, joints: "tuple[str, ...] | None" = None) -> np.ndarray:
         """Actuators of several joints, which bear the joints' names; all of the rig's by default."""
         return np.array([self.mj.actuator(j).id for j in joints or self.joint_names])
-
-    def stall_torque(self) -> np.ndarray:
-        """(J,) N m, the greatest torque of the rig's servos as they were built; 1 where there is no limit."""
-        limit = self.mj.actuator_forcerange[self.actuators(), 1]
-        return np.where(limit > 0, limit, 1.0)
 
     def scale_gain(self, actuators: np.ndarray, factor: np.ndarray) -> None:
         """Multiply position servos' stiffness.

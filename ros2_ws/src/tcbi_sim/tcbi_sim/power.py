@@ -9,20 +9,30 @@ import numpy as np
 
 from tcbi_sim.fields import Fields
 
+MADE_UP = "back_emf_made_up"  # in `fields.memory`: back-EMF that loops make up for while they can, (B, J) N m s/rad
+
 
 class ServoPower:
-    """Stiffness, greatest torque and back-EMF of B simulations' servos."""
+    """Stiffness, greatest torque and back-EMF of B simulations' servos.
+
+    Attributes:
+      back_emf: (B, J) N m s/rad, that acts just now.
+    """
+
+    back_emf: np.ndarray
 
     def __init__(self, fields: Fields, actuators: np.ndarray, dofs: np.ndarray):
         self._fields, self._actuators, self._dofs = fields, actuators, dofs
-        self._limit: np.ndarray | None = None
 
     def begin(self) -> None:
         """Take what rig and effects have written for servos at full strength."""
         f, servos = self._fields, self._actuators
         self._gain, self._bias = (f.model[name][:, servos] for name in ("actuator_gainprm", "actuator_biasprm"))
+        self._made_up = f.memory.get(MADE_UP, np.zeros(f.strength.shape))
         self._damping_off = f.model["dof_damping"][:, self._dofs] if f.powered_damping.any() else None
-        self._limit = None
+        self._limit = f.model["actuator_forcerange"][:, servos]
+        f.stall_torque[...] = np.where(self._limit[..., 1] > 0, self._limit[..., 1], 1.0)
+        self._weakened = False
 
     @property
     def is_stale(self) -> bool:
@@ -33,31 +43,26 @@ class ServoPower:
         """Write the fields for servos that have power or not, (B,)."""
         f = self._fields
         self._written = f.strength.copy()
+        self.back_emf = np.where(torque_on[:, None], f.powered_damping, 0.0)
         if self._damping_off is not None:
-            added = np.where(torque_on[:, None], f.powered_damping, 0.0)
-            f.model["dof_damping"][:, self._dofs] = self._damping_off + added
-        gain, bias, on = self._gain, self._bias, torque_on[:, None, None]
-        share = self._share()
-        if share is not None:
-            gain, bias = gain.copy(), bias.copy()
-            gain[..., 0] *= share
-            bias[..., 1] *= share
+            f.model["dof_damping"][:, self._dofs] = self._damping_off + self.back_emf
+        (gain, bias), on = self._of_the_link(), torque_on[:, None, None]
         f.model["actuator_gainprm"][:, self._actuators] = np.where(on, gain, 0.0)
         f.model["actuator_biasprm"][:, self._actuators] = np.where(on, bias, 0.0)
-        self._write_limit()
+        if self._weakened or (f.strength != 1.0).any():
+            f.model["actuator_forcerange"][:, self._actuators] = self._limit * f.strength[..., None]
+            self._weakened = True
 
-    def _share(self) -> np.ndarray | None:
-        """(B, J) of the stiffness that is left; a servo and the link that it bends are springs in series."""
-        f = self._fields
-        if f.compliance.any():
-            stiffness = self._gain[..., 0] * f.strength
-            return f.strength / (1 + stiffness * f.compliance)
-        return f.strength if (f.strength != 1.0).any() else None
+    def _of_the_link(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gain and bias as the links feel them, (B, J, ...); a servo and the link that it bends are springs in series.
 
-    def _write_limit(self) -> None:
-        f = self._fields
-        if self._limit is None:
-            if (f.strength == 1.0).all():
-                return
-            self._limit = f.model["actuator_forcerange"][:, self._actuators].copy()
-        f.model["actuator_forcerange"][:, self._actuators] = self._limit * f.strength[..., None]
+        The servo's angle is ahead of the link's by compliance times the torque between them, which is the actuator's
+        less back-EMF. Without that angle, k (target - servo) - d speed is (k (target - link) - d speed) / (1 + k
+        compliance), where d has the part of back-EMF that the loop does not make up for.
+        """
+        f, gain, bias = self._fields, self._gain.copy(), self._bias.copy()
+        softer = 1 + gain[..., 0] * f.strength * f.compliance
+        gain[..., 0] *= f.strength / softer
+        bias[..., 1] *= f.strength / softer
+        bias[..., 2] = (bias[..., 2] + self._made_up - f.powered_damping) / softer + f.powered_damping
+        return gain, bias

@@ -45,7 +45,7 @@ class Rig:
     floating: bool = False  # stands free on the ground
     has_imu: bool = False
     own_quantities: frozenset[str] = frozenset()  # set by its parameters at every joint: as in PLACES, or back_emf
-    has_torque_limit: bool = False  # of its servos or motors
+    has_torque_limit: bool = False  # of every servo or motor
     kind: str = "position"  # what a command is: a servo's position, or torque
     joint_range: float = np.pi  # rad, either side of zero
     speed_limit: float = 2 * np.pi  # rad/s, of a joint without load

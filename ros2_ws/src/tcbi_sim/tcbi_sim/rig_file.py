@@ -95,7 +95,7 @@ class _Reader:
             apply=functools.partial(apply_settings, tuple(s for _, s in parameters), constants),
             noise=Noise(joint_position=numbers["joint_noise"], encoder_step=numbers["encoder_step"]),
             own_quantities=set_everywhere([s for _, s in parameters], joints),
-            has_torque_limit=any(bool(model.actuator(j).forcelimited[0]) for j in joints),
+            has_torque_limit=all(bool(model.actuator(j).forcelimited[0]) for j in joints),
             kind=commands,
             joint_range=max(float(np.abs(model.joint(j).range).max()) or math.pi for j in joints),
             speed_limit=numbers["speed_limit"],

@@ -28,6 +28,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.power import ServoPower
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples, delay, multiply, rotate_back, sense
+from tcbi_sim.sensor_data import SensorData
 from tcbi_sim.structure import compile_structure, silence_mujoco
 from tcbi_sim.terrain import write_terrain
 
@@ -64,6 +65,7 @@ class Simulator:
         threads: int = 0,
         rate: float | None = None,
         solver: Mapping[str, Any] | None = None,
+        repeats: Sequence[int] = (),
     ):
         """Stand every simulation at its scenario's start.
 
@@ -75,6 +77,8 @@ class Simulator:
           threads: 0 for all processors.
           rate: samples a second; the rig's own by default.
           solver: MuJoCo's options in place of the rig's, by name: `integrator`, `cone`, `impratio`.
+          repeats: B numbers that tell scenarios of one seed apart; none are all 0. A seed and its number say which
+            commands a simulation loses.
         """
         self.rig, self.uses, self._names = load_rig(model.rig), model.uses(), model.names
         self.rate = rate or self.rig.rate
@@ -88,6 +92,8 @@ class Simulator:
         self.scenarios = list(scenarios)
         self.parameters = np.array(parameters, float)
         self._check_shapes()
+        self._repeats = np.zeros(len(self.scenarios), int)
+        self._repeats[:] = list(repeats) or 0
         self._blocks = max((len(s.blocks) for s in scenarios), default=0)
         self._mj = compile_structure(self.rig, self.uses, self._blocks)
         self._mj.opt.timestep = timestep
@@ -105,15 +111,15 @@ class Simulator:
             np.zeros((self.count, joints)),
             np.zeros((self.count, joints)),
             np.ones((self.count, joints)),
+            np.ones((self.count, joints)),
             np.ones(self.count, bool),
         )
         self.path = CommandPath(self.fields.command, [np.random.default_rng(0)] * self.count)
         self._taken = 0  # samples so far: times are counted, never added up
         self._torque_on = np.ones(self.count, bool)
-        self.diverged = np.zeros(self.count, bool)
-        self._warned = np.zeros(self.count, int)
-        self._index()
+        self.diverged, self._warned = np.zeros(self.count, bool), np.zeros(self.count, int)
         self._drifting = [u for u in self.uses if u.effect.update]
+        self._index()
         self.reset()
 
     @property
@@ -139,6 +145,7 @@ class Simulator:
         parameters: np.ndarray | None = None,
         scenarios: Sequence[Scenario] | None = None,
         rewind: bool = False,
+        repeats: Sequence[int] = (),
     ) -> None:
         """Put simulations at the start of an episode, settled in their initial posture. Time goes on, or is rewound.
 
@@ -147,6 +154,7 @@ class Simulator:
           parameters: (n, P) new values; None to keep them.
           scenarios: n new ones; None to keep them. At most as many blocks as when the simulator was made.
           rewind: time starts at 0 again, so that the episode has the same bits as in a new simulator; for all of them.
+          repeats: n of the new scenarios, as when the simulator was made; without new scenarios the old ones stay.
         """
         if rewind and ids is not None:
             raise SimError("time is one for all simulations: rewind it only where all of them begin anew (ids=None)")
@@ -160,6 +168,8 @@ class Simulator:
                     f"the scenario has {len(scenario.blocks)} blocks, this simulator has room for {self._blocks}"
                 )
             self.scenarios[i] = scenario
+        if scenarios is not None:
+            self._repeats[ids] = list(repeats) or 0
         self._check_shapes()
         self._write_fields(ids)
         self._place(ids)
@@ -231,26 +241,12 @@ class Simulator:
             )
 
     def _index(self) -> None:
-        mj, rig = self._mj, self.rig
-
-        def columns(name: str) -> np.ndarray:
-            sensor = mj.sensor(name)
-            return np.arange(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
-
-        self._joint_columns = np.concatenate([columns(f"position/{j}") for j in rig.joint_names])
-        measured = {mj.sensor(i).name for i in range(mj.nsensor)}
-        forces = [f"force/{j}" for j in rig.joint_names]  # there where links bend
-        self._force_columns = np.concatenate([columns(f) for f in forces]) if set(forces) <= measured else None
-        self._contact_columns = (
-            np.concatenate([columns(f"contact/{f}") for f in rig.foot_names]) if rig.foot_names else None
-        )
-        self._imu_columns = [columns(n) for n in ("attitude", "gyro", "accelerometer")] if rig.has_imu else None
-        self._tracker_columns = columns("tracker") if rig.floating else None
         self._actuators = self.fields.actuators()
-        self._qpos = np.array([mj.joint(j).qposadr[0] for j in rig.joint_names])
+        self._qpos = np.array([self._mj.joint(j).qposadr[0] for j in self.rig.joint_names])
         self._dofs = self.fields.dofs()
         self._power = ServoPower(self.fields, self._actuators, self._dofs)
-        self._hold = np.zeros((self.count, len(rig.joint_names)))
+        self._signals = SensorData(self._mj, self.rig)
+        self._hold = np.zeros((self.count, len(self.rig.joint_names)))
         # bound once, before any call: a field bound later would read zero until the call after
         self._sensordata = self._batch.bind("sensordata")
         self._geom_xpos = self._batch.bind("geom_xpos")
@@ -294,12 +290,16 @@ class Simulator:
                 qvel[i, self._dofs] = velocity
         # where a servo is mounted off its zero, the link stands off by as much
         qpos[np.ix_(ids, self._qpos)] = self._hold[ids] + self.fields.command.offset[ids]
-        rngs = [np.random.default_rng([self.scenarios[i].seed, 7919]) for i in ids]
         held = self._hold[ids] if self.rig.kind == "position" else np.zeros_like(self._hold[ids])
-        self.path.hold(ids, held, rngs)
+        self.path.hold(ids, held, [self._losses(i) for i in ids])
         self._batch.bind("ctrl")[np.ix_(ids, self._actuators)] = held + self.fields.command.offset[ids]
         if self.rig.floating:
             self._stand(ids, qpos)
+
+    def _losses(self, index: int) -> np.random.Generator:
+        """What decides which commands of a simulation get lost."""
+        seed, repeat = self.scenarios[index].seed, int(self._repeats[index])
+        return np.random.default_rng([seed, 7919, repeat] if repeat else [seed, 7919])
 
     def _stand(self, ids: np.ndarray, qpos: np.ndarray) -> None:
         ground = self.fields.model["body_quat"][ids, self.fields.body("ground")]
@@ -369,16 +369,7 @@ class Simulator:
         return self._batch.warning.reshape(self.count, -1).sum(axis=1)
 
     def _samples(self, data: np.ndarray, times: np.ndarray) -> Samples:
-        imu = [data[:, :, c].copy() for c in self._imu_columns] if self._imu_columns else [None] * 3
-        contact = (
-            None if self._contact_columns is None else data[:, :, self._contact_columns] > self.rig.contact_threshold
-        )
-        position = None if self._tracker_columns is None else data[:, :, self._tracker_columns].copy()
-        attitude, rates, acceleration = imu
-        joints = data[:, :, self._joint_columns].copy()
-        if self._force_columns is not None:  # the encoder sits before the link that bends
-            joints += self.fields.compliance[:, None, :] * data[:, :, self._force_columns]
-        return Samples(times, joints, attitude, rates, acceleration, contact, position)
+        return self._signals.samples(data, times, self.fields.compliance, self._power.back_emf)
 
     def _remember(self, new: Samples) -> None:
         joined = new if self._raw is None else Samples.concatenate([self._raw, new])

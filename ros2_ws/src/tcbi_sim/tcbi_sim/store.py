@@ -174,7 +174,10 @@ class ModelStore:
         try:
             parameters = parameters_of(rig, effects)
         except SimError as e:
-            raise StoreError(f"model {head['version']} needs a rig or an effect that is not here: {e}") from e
+            raise StoreError(
+                f"model {head['version']} needs a rig or an effect that is not here, or not for it any more: {e}; name "
+                f"another version, or remove {folder}"
+            ) from e
         check_parameters(path, head["parameters"], parameters)
         try:
             return Model(

@@ -134,6 +134,35 @@ def test_servos_weaken_under_load_and_a_new_episode_begins_fresh_while_others_go
     np.testing.assert_allclose(simulator.fields.strength[:, 0], [after_load[0, 0], 1.0])
 
 
+@pytest.mark.parametrize("key", ["battery_sag", "thermal_fading"])
+@pytest.mark.parametrize("name", ["double_pendulum", "so101_arm"])
+def test_servos_without_a_stall_torque_do_not_weaken_by_a_share_of_it(name, key):
+    rig = load_rig(name)
+    assert key not in {u.effect.name for u in candidates(rig)}
+    with pytest.raises(SimError, match="has a torque limit"):
+        find_use(key, rig)
+
+
+def stalled(key: str, seconds: float, **values: float) -> float:
+    """Torque that is left, over all torque, of a bench's servo that has stood under too heavy an arm."""
+    model = base_model("servo_bench").with_effect(key)
+    row = {p.name: p.nominal for p in model.parameters} | {f"{key}.{n}": v for n, v in values.items()}
+    heavy = Scenario("bench", seconds, constants=(("mass", 5.0), ("kp", 2000.0)))
+    simulator = Simulator(model, np.array([[row[n] for n in model.names]]), [heavy], threads=1)
+    simulator.command(np.full((1, 1), 3.0), 0.0)
+    simulator.advance(seconds)
+    return float(simulator.fields.strength[0, 0])
+
+
+def test_a_battery_s_drop_is_torque_lost_over_torque_left_where_servos_stall():
+    assert stalled("battery_sag", 3.0, drop=0.5) == pytest.approx(1 / 1.5, rel=0.01)
+
+
+def test_a_motor_s_loss_is_torque_lost_over_torque_left_a_second_at_stall():
+    """Warmth w grows by loss / (1 + w)^2 a second, since the load falls with the torque that is left."""
+    assert stalled("thermal_fading", 1.0, loss=1.0, time_constant=300.0) == pytest.approx(4 ** (-1 / 3), rel=0.01)
+
+
 def test_a_servo_that_was_off_comes_back_as_weak_as_it_was():
     simulator = bench("thermal_fading", time_constant=300.0)
     simulator.advance(1.0)

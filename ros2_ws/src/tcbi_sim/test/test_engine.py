@@ -84,6 +84,48 @@ def test_scenarios_of_one_seed_are_misread_each_in_its_own_way_however_they_are_
     np.testing.assert_array_equal(together.commands_given, apart.commands_given)
 
 
+def lossy(seeds: list[int], chunk: int = 512) -> np.ndarray:
+    """(N, S, T) what a servo does that loses half of the same commands, in scenarios of these seeds."""
+    model = base_model("servo_bench").with_effect("lost_commands")
+    values = np.tile([4e-3, 0.015, 0.02, 0.5], (2, 1)) * [[1.0], [0.9]]
+    commands = Commands(np.arange(20) * 0.05, np.tile([[0.5], [-0.5]], (10, 1)), 0.0)
+    scenarios = [Scenario("bench", 1.0, seed=seed) for seed in seeds]
+    out = simulate(model, values, scenarios, commands=[commands] * len(seeds), timestep=0.01, chunk=chunk)
+    return out.joint_position[..., 0]
+
+
+def test_scenarios_of_one_seed_lose_other_commands_and_those_of_other_seeds_the_same_as_ever():
+    logs = lossy([0] * 4)
+    assert len(np.unique(logs[0], axis=0)) == 4, "imported logs all have seed 0"
+    np.testing.assert_array_equal(logs, lossy([0] * 4, chunk=3))
+    apart = lossy([5, 0, 7])
+    for s, seed in enumerate([5, 0, 7]):
+        np.testing.assert_array_equal(apart[:, s], lossy([seed])[:, 0])
+    np.testing.assert_array_equal(apart[:, 1], logs[:, 0])
+
+
+def test_a_reset_keeps_which_commands_a_simulation_loses_and_new_scenarios_bring_their_own():
+    model = base_model("servo_bench").with_effect("lost_commands")
+    same = [Scenario("bench", 1.0)] * 2
+    simulator = Simulator(model, np.tile([4e-3, 0.015, 0.02, 0.5], (2, 1)), same, 0.01, threads=1, repeats=[0, 1])
+
+    def motion() -> np.ndarray:
+        parts = []
+        for k in range(20):
+            simulator.command(np.full((2, 1), 0.5 * (-1) ** k), ramp=0.0)
+            parts.append(simulator.advance(0.05).joint_position[..., 0])
+        return np.concatenate(parts, axis=1)
+
+    first = motion()
+    assert not np.array_equal(first[0], first[1])
+    simulator.reset(rewind=True)
+    np.testing.assert_array_equal(motion(), first)
+    simulator.reset(scenarios=same, repeats=[1, 0], rewind=True)
+    np.testing.assert_array_equal(motion(), first[::-1])
+    simulator.reset(scenarios=same, rewind=True)
+    np.testing.assert_array_equal(motion(), first[[0, 0]])
+
+
 def test_a_rollout_does_not_depend_on_when_others_are_commanded():
     model = base_model("hexapod")
     values = np.array([[0.75, 0.8, 2.5]])

@@ -9,13 +9,10 @@ from tcbi_sim.rig import Rig
 
 
 def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
-    for name in rig.joint_names:
-        spec.add_sensor(
-            name=f"force/{name}",
-            type=mujoco.mjtSensor.mjSENS_JOINTACTFRC,
-            objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            objname=name,
-        )
+    kinds = {"force": mujoco.mjtSensor.mjSENS_JOINTACTFRC, "velocity": mujoco.mjtSensor.mjSENS_JOINTVEL}
+    for what, kind in kinds.items():
+        for name in rig.joint_names:
+            spec.add_sensor(name=f"{what}/{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name)
 
 
 def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:

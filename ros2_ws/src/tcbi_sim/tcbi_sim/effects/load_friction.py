@@ -24,7 +24,9 @@ EFFECT = Effect(
     name="load_friction",
     physics="Teeth that carry a load press on each other and rub in proportion to it. A gear with a high ratio loses a "
     "good part of the motor's torque when it lifts, and the same part holds the weight when it lowers: a loaded joint "
-    "stops short, stays where it is and lets go late, an unloaded one moves freely.",
+    "stops short, stays where it is and lets go late, an unloaded one moves freely. The load counted is the torque "
+    "that the motor's voltage would make at rest, before back-EMF takes its part: at speed the gears carry less of it "
+    "while the motor drives, and more while it brakes.",
     source="Duclusaud et al., Extended friction models for the physics simulation of servo actuators, arXiv 2410.08650 "
     "(2024), section on load-dependent friction",
     parameters=(

@@ -36,8 +36,8 @@ def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
 def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
     patch, rest = fields.geom(PATCH), fields.geom(REST)
     friction, place, turned = (fields.model[f"geom_{name}"] for name in ("friction", "pos", "quat"))
-    friction[:, rest, 0] = friction[:, fields.geom("ground"), 0]
-    friction[:, patch, 0] = friction[:, rest, 0] * values["grip"]
+    friction[:, rest, :2] = friction[:, fields.geom("ground"), :2]
+    friction[:, patch, :2] = friction[:, rest, :2] * values["grip"][:, None]
     heading = values["heading"]
     for geom, middle in ((patch, values["begin"] + HALF), (rest, values["begin"] - HALF)):
         place[:, geom, 0], place[:, geom, 1] = middle * np.cos(heading), middle * np.sin(heading)

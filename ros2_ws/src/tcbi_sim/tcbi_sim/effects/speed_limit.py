@@ -3,15 +3,15 @@
 from tcbi_sim.effect import Effect, Values, lacks, position_servos, torque_limited
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
+from tcbi_sim.power import MADE_UP
 from tcbi_sim.rig import Rig
 
 
 def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
-    servos = fields.actuators()
-    stall = fields.model["actuator_forcerange"][:, servos, 1]
+    stall = fields.model["actuator_forcerange"][:, fields.actuators(), 1]
     # the loop makes up for the back-EMF as long as it has voltage left: the two cancel until the torque is limited
     back_emf = values["slowness"][:, None] * stall
-    fields.model["actuator_biasprm"][:, servos, 2] += back_emf
+    fields.memory[MADE_UP] = back_emf
     fields.powered_damping += back_emf
 
 

@@ -27,7 +27,8 @@ EFFECT = Effect(
     name="stribeck_friction",
     physics="Gears that carry a load press on each other and rub in proportion to it, and a film of grease builds up "
     "with speed: friction is highest at rest and under load. Joints that hold a weight stick, the same joints unloaded "
-    "hardly do.",
+    "hardly do. The load counted is the torque that the motor's voltage would make at rest, before back-EMF takes its "
+    "part: at speed the gears carry less of it while the motor drives, and more while it brakes.",
     source="Armstrong-Helouvry, Dupont and Canudas de Wit, A survey of models, analysis tools and compensation methods "
     "for the control of machines with friction, Automatica 30 (1994); load dependence as in Duclusaud et al., Extended "
     "friction models for the physics simulation of servo actuators, arXiv 2410.08650",

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tcbi_sim.effect import Effect, State, Values
+from tcbi_sim.effect import Effect, State, Values, torque_limited
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
@@ -15,7 +15,7 @@ def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
 
 
 def update(fields: Fields, rig: Rig, site: str, values: Values, state: State, interval: float) -> None:
-    warmth, load = fields.memory[MEMORY], state.actuator_force / fields.stall_torque()
+    warmth, load = fields.memory[MEMORY], state.actuator_force / fields.stall_torque
     heating, kept = values["loss"][:, None] * load**2, np.exp(-interval / values["time_constant"][:, None])
     warmer = warmth * kept + heating * values["time_constant"][:, None] * (1 - kept)
     fields.strength *= (1 + warmth) / (1 + warmer)
@@ -27,16 +27,26 @@ EFFECT = Effect(
     physics=(
         "A winding warms with the square of its current: its resistance grows, the magnets weaken, and firmware cuts "
         "the current of a hot motor. Joints that carry much hang lower from second to second and recover at rest, "
-        "those that carry little do not change."
+        "those that carry little do not change. Warmth w is counted as torque lost over torque left, "
+        "so that a motor keeps 1 / (1 + w) of its torque."
     ),
     source=(
         "Hughes and Drury, Electric Motors and Drives, 5th edition (2019), section 3.7 (heating, time constants); a "
         "rotor of 2 g copper warms by some 5 K in a second at stall, by 0.4 % resistance each"
     ),
     parameters=(
-        Parameter("loss", "1/s", 0.0, 1.0, 0.3, null=0.0, description="torque lost in a second at the stall torque"),
+        Parameter(
+            "loss",
+            "1/s",
+            0.0,
+            1.0,
+            0.3,
+            null=0.0,
+            description="torque lost over torque left, gained in a second at the stall torque",
+        ),
         Parameter("time_constant", "s", 5.0, 300.0, 60.0, scale="log", description="of cooling"),
     ),
     apply=apply,
     update=update,
+    requires=torque_limited,
 )

@@ -93,7 +93,9 @@ def apply(fields: Fields, values: Values, constants: Values) -> None:
     ground = [fields.geom("ground")] + [
         g for g in range(fields.mj.ngeom) if fields.mj.geom(g).name.startswith("block_")
     ]
-    fields.model["geom_friction"][:, ground, 0] = values["friction"][:, None]
+    # a foot that turns on the spot rubs with the same coefficient as one that slides
+    share = values["friction"] / dimensions()["nominal"]["friction"]
+    fields.model["geom_friction"][:, ground, :2] *= share[:, None, None]
     robot = slice(fields.body("base_link"), None)
     factor = (values["mass"] / fields.mj.body_mass[robot].sum())[:, None]
     fields.model["body_mass"][:, robot] *= factor
@@ -150,7 +152,7 @@ def _add_scene(spec: mujoco.MjSpec, blocks: int) -> None:
     same = dict(
         contype=GROUND,
         conaffinity=ROBOT,
-        condim=3,
+        condim=4,  # with torsion: a foot that turns on its rubber cap rubs, too
         friction=rubbing,
         priority=1,
         solref=contact["solref"],
