@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from tcbi_policy.artefact import Policy, find_policy, save_policy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.policy_node import PolicyNode
 from tcbi_policy.retrain_node import RetrainNode
+from tcbi_policy.retraining import Job, Outcome
 from tests.conftest import ros_in_process
 
 pytestmark = pytest.mark.graph
@@ -254,6 +256,30 @@ def test_a_training_gets_the_process_that_stands_by(own_process: None) -> None:
     with node._process() as process:
         assert process is stood_by
     node.destroy_node()
+
+
+@pytest.mark.parametrize("moment", ["before the swap", "while it waits for the policy node"])
+def test_who_cancels_after_the_comparison_gets_no_other_policy_on_the_robot(
+    own_process: None, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    monkeypatch.setattr(retrain_node_module, "TrainingProcess", lambda: SimpleNamespace(close=lambda: None))
+    node: Any = RetrainNode()
+    ends: list[str] = []
+    handle: Any = SimpleNamespace(succeed=lambda: ends.append("succeed"))
+    handle.is_cancel_requested = moment == "before the swap"
+
+    def appears(_: float) -> bool:
+        handle.is_cancel_requested = True
+        return True
+
+    asked: list[Any] = []
+    node._load = SimpleNamespace(wait_for_service=appears, call=lambda request, **_: asked.append(request))
+    result, job = Retrain.Result(), Job("balance", "gait:stand")
+    outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", "gait:stand")
+    node._finish(handle, result, outcome, job)
+    node.destroy_node()
+    assert not asked and ends == ["succeed"] and result.accepted
+    assert result.message == "better; kept as balance-1, not loaded: cancelled after the comparison"
 
 
 @pytest.mark.slow

@@ -6,12 +6,14 @@ policy.act(0.0, observation)                 # a Controller for the simulation, 
 find_policy("gait:stand")                    # or a file, a name in the store, or a shipped name
 """
 
+import contextlib
 import dataclasses
+import fcntl
 import hashlib
 import itertools
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -37,6 +39,7 @@ CARD_ENTRIES = {
 TRAINING_ENTRIES = {"effects": NAMES, "effect_share": NUMBER, "observation_noise": NUMBER}  # what retraining takes over
 SHIPPED = Path(__file__).parent / "policies"
 GAIT_PREFIX = "gait:"
+LOCK = ".lock"
 
 
 class Actor(Protocol):
@@ -148,6 +151,19 @@ def replace_file(path: Path, data: bytes) -> None:
         temporary.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Make a folder, and keep other processes that ask for it out meanwhile; waits for the one that is in.
+
+    A name chosen in here is still free, and the two files of a policy written in here belong together. The lock is the
+    kernel's: it vanishes with its process, however that ends.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def strict_json(value: Any, indent: int | None = None) -> str:
     """A value as JSON, null for a number that is not finite."""
     return json.dumps(json.loads(json.dumps(value), parse_constant=lambda _: None), indent=indent, allow_nan=False)
@@ -220,9 +236,12 @@ def keep_policy(policy: Policy, store_root: Path) -> None:
     """Keep a policy of a file in the store, under its own name or the next free one, if it is not there yet."""
     if name_of(policy.policy_id, store_root):
         return
-    paths, own = policy_paths(store_root), policy.card.name
-    name = next(n for n in itertools.chain([own], (f"{own}-{k}" for k in itertools.count(1))) if n not in paths)
-    save_policy(store_root / "policies" / name, policy.mlp, policy.card)
+    with locked(store_root / "policies"):
+        if name_of(policy.policy_id, store_root):  # by another process, meanwhile
+            return
+        paths, own = policy_paths(store_root), policy.card.name
+        name = next(n for n in itertools.chain([own], (f"{own}-{k}" for k in itertools.count(1))) if n not in paths)
+        save_policy(store_root / "policies" / name, policy.mlp, policy.card)
 
 
 def find_policy(reference: str, store_root: Path | None = None, robot: Layout = HEXAPOD) -> Policy | Gait:

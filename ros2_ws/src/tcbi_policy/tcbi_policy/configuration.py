@@ -22,8 +22,8 @@ class TrainingConfig:
     task: str
     algorithm: str = "ppo"  # or sac
     seed: int = 0
-    steps: int = 200_000  # control steps of all environments together
-    budget_s: float = 0.0  # stop after this much time, too; 0 for no limit
+    steps: int = 200_000  # control steps of all environments together; 0 for no limit, where there is one in time
+    budget_s: float = 0.0  # stop after this much time; 0 for no limit
     environments: int = 64
     timestep: float = 0.01  # s of the physics
     threads: int = 0  # 0 for all processors
@@ -82,7 +82,9 @@ class TrainingConfig:
         faults = []
         if self.algorithm not in ("ppo", "sac"):
             faults.append(describe("algorithm", self.algorithm, "ppo or sac"))
-        positive = ("steps", "environments", "learning_rate", "batch_size", "evaluate_every", "evaluations")
+        if not (self.steps > 0 or (self.steps == 0 and self.budget_s > 0)):
+            faults.append(describe("steps", self.steps, "more than 0, or 0 where budget_s is more than 0"))
+        positive = ("environments", "learning_rate", "batch_size", "evaluate_every", "evaluations")
         faults += [describe(name, getattr(self, name), "more than 0") for name in positive if getattr(self, name) <= 0]
         if not 0 <= self.seed <= HIGHEST_SEED:
             faults.append(describe("seed", self.seed, f"0 to {HIGHEST_SEED}"))
@@ -117,7 +119,7 @@ def check_start(config: TrainingConfig, start: Policy) -> None:
 
 
 _PAPER = TrainingConfig(
-    "", "sac", steps=3_000_000, environments=16, updates=16, learning_rate=1e-3, batch_size=256, gamma=0.99, tau=0.005,
+    "", "sac", steps=3_000_320, environments=16, updates=16, learning_rate=1e-3, batch_size=256, gamma=0.99, tau=0.005,
     buffer=1_000_000, evaluate_every=25,
 )  # fmt: skip
 
@@ -137,10 +139,11 @@ PRESETS: dict[str, dict[str, TrainingConfig]] = {
             evaluations=32,
         ),
     },
-    # SAC with the paper's settings (Table 2), one update a step; about half a day of processor time each
+    # SAC with the paper's settings (Table 2), one update a step; about half a day of processor time each. Its 3 and 5
+    # million steps are rounded up to whole sets of episodes
     "paper": {
         "balance": dataclasses.replace(_PAPER, task="balance"),
-        "forward": dataclasses.replace(_PAPER, task="forward", steps=5_000_000, reward_scale=1e-3),
+        "forward": dataclasses.replace(_PAPER, task="forward", steps=5_001_600, reward_scale=1e-3),
     },
 }
 

@@ -2,8 +2,8 @@
 
 conditions = draw_conditions(model, "balance", 64, seed=1)
 before, after = (evaluate(policy, model, conditions) for policy in (old, new))
-comparison = compare_paired(before, after)
-comparison.better        # with 95 % confidence
+comparison = compare_paired(before, after, confidence=0.975)
+comparison.better        # with that confidence
 """
 
 import math
@@ -50,7 +50,7 @@ class Evaluation:
         return _of_finite(np.mean, self.returns)
 
     def summary(self) -> dict[str, float]:
-        """Means and spreads, in degrees and m; where there are blocks, also who went over one and how far they came."""
+        """Means and spreads, in degrees and m; where there are blocks, also who went over one or past all of them."""
         degrees = np.degrees(self.inclination)
         return {
             "rollouts": len(self.returns),
@@ -63,14 +63,20 @@ class Evaluation:
         } | self._blocks()
 
     def _blocks(self) -> dict[str, float]:
-        """How many rollouts went over a block, how many with a foot, and the mean distance of those and the others."""
+        """How many rollouts went over a block, how many with a foot, and the mean distance of those and the others.
+
+        And the share of all that left the last block behind, with the mean time until they did.
+        """
         if self.over_blocks is None:
             return {}
         ended = np.isfinite(self.distance)
         foot, either = ended & self.over_blocks.foot, ended & (self.over_blocks.trunk | self.over_blocks.foot)
         groups = {"distance_over_blocks_m": either, "distance_not_over_blocks_m": ended & ~either}
-        counts = {"over_blocks": int(either.sum()), "foot_over_blocks": int(foot.sum())}
-        return counts | {name: float(self.distance[group].mean()) for name, group in groups.items() if group.any()}
+        past = ended & np.isfinite(self.over_blocks.past_s)
+        found: dict[str, float] = {"over_blocks": int(either.sum()), "foot_over_blocks": int(foot.sum())}
+        found |= {name: float(self.distance[group].mean()) for name, group in groups.items() if group.any()}
+        found["past_blocks_share"] = float(past.mean())
+        return found | ({"past_blocks_s": float(self.over_blocks.past_s[past].mean())} if past.any() else {})
 
 
 def _of_finite(statistic: Callable[[np.ndarray], np.floating], values: np.ndarray) -> float:
@@ -211,7 +217,7 @@ class Comparison:
         seen = f"on {count} held-out rollouts of {counted(self.vectors, 'parameter draw')}"
         gain = "too few to tell the gain"
         if self.low is not None:
-            gain = f"gain at least {self.low:.0f} with {100 * self.confidence:.0f} % confidence"
+            gain = f"gain at least {self.low:.0f} with {100 * self.confidence:.4g} % confidence"
         returns = "" if self.before is None else f"return {self.before:.0f} -> {self.after:.0f} "
         verdict = "better" if self.better else "not better with confidence"
         return f"{verdict}: {returns}{seen}, {gain}{self._lost()}"

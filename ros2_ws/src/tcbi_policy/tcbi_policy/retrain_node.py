@@ -162,14 +162,20 @@ class RetrainNode(Node):
             return
         result.success = True
         if outcome.accepted:
-            result.message += f"; {self._swap(outcome, job.task)}"
+            result.message += f"; {self._swap(handle, outcome, job.task)}"
         self.get_logger().info(result.message)
         handle.succeed()
 
-    def _swap(self, outcome: Outcome, task: str) -> str:
-        """Ask the policy node to take the policy, unless another is in use by now; what came of it, in words."""
+    def _swap(self, handle: ServerGoalHandle, outcome: Outcome, task: str) -> str:
+        """Ask the policy node to take the policy, unless another is in use by now; what came of it, in words.
+
+        Who cancels after the comparison has a verdict, but no other policy on the robot.
+        """
         reference = outcome.reference
-        if not self._load.wait_for_service(SWAP_TIMEOUT_S):
+        there = handle.is_cancel_requested or self._load.wait_for_service(SWAP_TIMEOUT_S)
+        if handle.is_cancel_requested:
+            return f"kept as {reference}, not loaded: cancelled after the comparison"
+        if not there:
             return f"kept as {reference}: no policy node runs that could take it"
         if why_not := better_than_another(self._in_use, outcome.rival, task, self._store):
             return f"kept as {reference}: {why_not}"

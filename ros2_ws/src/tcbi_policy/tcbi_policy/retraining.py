@@ -5,10 +5,10 @@
 
 The training runs in a subprocess in a folder of the store that belongs to the job: whoever dies, subprocess or caller,
 the next call with the same job goes on from the last checkpoint. A successor is accepted only if its return is higher
-with 95 % confidence on draws of the model that neither the training nor the choice of the best policy has seen;
-accepted ones are kept in the store under the next free name (`balance-1`, `balance-2`, ...). What a policy was trained
-to withstand beyond its model, noise on the observation and further effects, its successor meets too, in the training
-and in the comparison.
+with confidence, of which each further attempt takes more (attempts.py), on draws of the model that neither the training
+nor the choice of the best policy has seen; accepted ones are kept in the store under the next free name (`balance-1`,
+`balance-2`, ...). What a policy was trained to withstand beyond its model, noise on the observation and further
+effects, its successor meets too, in the training and in the comparison.
 """
 
 import dataclasses
@@ -27,11 +27,10 @@ from tcbi_policy.artefact import (
     Policy,
     find_policy,
     load_policy,
+    locked,
     name_of,
     policy_paths,
-    replace_file,
     save_policy,
-    strict_json,
 )
 from tcbi_policy.configuration import TrainingConfig, check_start, preset
 from tcbi_policy.errors import PolicyError, PolicyNotFound, TrainingError
@@ -46,7 +45,7 @@ RESTARTS = 3  # of a subprocess that dies
 FINE_TUNING_STEPS = 57_600  # two minutes on one core
 FINE_TUNING_SETS = 12  # of episodes: so many at least, which are more steps where episodes are long
 POLL_S = 0.1
-OUTCOME = "outcome.json"  # in the folder of a run whose policy was not kept: the comparison with its rival
+OUTCOME = "outcome.json"  # in the folder of a run: the comparison of its policy with its rival
 Event = dict[str, Any]
 
 
@@ -60,7 +59,7 @@ class Job:
     model: str = LATEST
     store: Path | None = None
     budget_s: float = 0.0  # 0: no limit in time
-    budget_steps: int = 0  # 0: the preset's
+    budget_steps: int = 0  # 0: no limit where there is one in time, else the preset's
     seed: int = 0
     threads: int = 0
 
@@ -99,7 +98,7 @@ def plan(job: Job) -> Run:
         config = dataclasses.replace(config, steps=min(config.steps, few))
     changes: dict[str, Any] = {"seed": job.seed, "budget_s": job.budget_s, "threads": job.threads}
     changes |= randomisation_of(begun or current, job.task, model)
-    if job.budget_steps:
+    if job.budget_steps or job.budget_s:
         changes["steps"] = job.budget_steps
     rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
     config = dataclasses.replace(config, **changes).checked()
@@ -179,7 +178,6 @@ def retrain(
         reference, path = policy.card.name, str(policy.path)
         shutil.rmtree(folder, ignore_errors=True)
     else:
-        replace_file(folder / OUTCOME, strict_json(comparison).encode())
         (folder / "checkpoint.safetensors").unlink(missing_ok=True)  # the same request later starts afresh
     return Outcome(comparison["better"], False, reference, path, before, after, statement, comparison["rival"])
 
@@ -223,14 +221,15 @@ def publish(folder: Path, root: Path, task: str, name: str = "", comparison: Eve
     The card keeps what the policy gained on its rival, if a comparison is given.
     """
     trained = load_policy(folder / "policy.safetensors")
-    name = name or next_name(root, task)
     training = trained.card.training | ({"comparison": comparison} if comparison else {})
-    card = dataclasses.replace(trained.card, name=name, training=training)
-    return save_policy(root / "policies" / name, trained.mlp, card)
+    with locked(root / "policies"):
+        name = name or next_name(root, task)
+        card = dataclasses.replace(trained.card, name=name, training=training)
+        return save_policy(root / "policies" / name, trained.mlp, card)
 
 
 def next_name(root: Path, task: str) -> str:
-    """The first free name `task-<n>` in the store."""
+    """The first free name `task-<n>` in the store; it stays free while the folder of the policies is `locked`."""
     taken = policy_paths(root)
     return next(name for name in (f"{task}-{n}" for n in range(1, len(taken) + 2)) if name not in taken)
 

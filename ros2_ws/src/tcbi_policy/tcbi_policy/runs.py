@@ -13,8 +13,10 @@ import contextlib
 import dataclasses
 import fcntl
 import hashlib
+import importlib.metadata
 import json
 import os
+import platform
 import queue
 import signal
 import subprocess
@@ -31,13 +33,15 @@ from tcbi_policy.artefact import find_policy, replace_file
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import TrainingError
 from tcbi_sim.model import Model
-from tcbi_sim.ray_workers import own_files
+from tcbi_sim.ray_workers import code, own_files
 
 ORPHAN_S = 10.0
 NICENESS = 10  # a robot moves in real time beside it
 GRACE_S = 0.5  # between asking a process to end and ending it
 SPEC = "run.json"
 OWN_KINDS = ("effects", "rigs", "tasks")  # of the user's files, that a training may depend on
+PACKAGES = ("tcbi_contract", "tcbi_sim", "tcbi_policy")  # whose code it depends on
+LIBRARIES = ("torch", "stable-baselines3", "mujoco", "numpy")
 ERRORS = "errors.log"
 
 
@@ -51,7 +55,7 @@ class Run:
     start: str = ""  # policy to start from; empty for scratch
     rival: str = ""  # policy that the result is compared with; empty for none
     pairs: int = 64  # held-out rollouts of that comparison
-    contents: str = ""  # ids of those policies, digests of particles and own files: names may come to mean others
+    contents: str = ""  # ids of those policies, digests of particles, own files and code, versions: see `of`
 
     def key(self, purpose: str) -> str:
         """A folder name that is the same for the same run."""
@@ -64,13 +68,15 @@ class Run:
 
     @staticmethod
     def of(config: TrainingConfig, model: Model, root: Path, start: str = "", rival: str = "") -> "Run":
-        """A run with what its names stand for at present.
+        """A run with what its names stand for at present, and the code and libraries that this process has loaded.
+
+        A training goes on only on those that it began with: its checkpoint may mean something else to others.
 
         Raises:
           PolicyError: start or rival cannot be loaded.
         """
         ids = [find_policy(reference, root).policy_id for reference in (start, rival) if reference]
-        ids += [f"particles {_digest(model)}", f"own files {own_files(OWN_KINDS)}"]
+        ids += [f"particles {_digest(model)}", f"own files {own_files(OWN_KINDS)}", LOADED]
         return Run(config, model.version, str(root), start, rival, contents=", ".join(ids))
 
     @staticmethod
@@ -92,6 +98,19 @@ def _digest(model: Model) -> str:
     return hashlib.sha256(model.particles.tobytes() + model.log_weights.tobytes()).hexdigest()[:12]
 
 
+def library_versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that a training depends on."""
+    return {"python": platform.python_version(), **{name: importlib.metadata.version(name) for name in LIBRARIES}}
+
+
+def installed() -> str:
+    """The code and the libraries that lie on the disk at present, in the words with which a run's `contents` end."""
+    return ", ".join(f"{name} {value}" for name, value in {"code": code(PACKAGES), **library_versions()}.items())
+
+
+LOADED = installed()  # what this process runs on, whatever comes to lie on the disk after its start
+
+
 def write_run(folder: Path, run: Run) -> Path:
     """Make a run's folder, or go on with the one that holds the same run.
 
@@ -110,7 +129,7 @@ def write_run(folder: Path, run: Run) -> Path:
 
 @contextlib.contextmanager
 def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
-    """Keep every other process from training in a run's folder.
+    """Keep every other process from training in a run's folder, and remove what a killed one left half written there.
 
     One whose parent was killed ends by itself; so long it is waited for.
 
@@ -129,6 +148,8 @@ def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
                         f"{folder}: another process trains this run; wait for its end, or choose another name or seed"
                     ) from None
                 time.sleep(0.1)
+        for temporary in folder.glob(".*.[0-9]*"):  # of `replace_file`
+            temporary.unlink(missing_ok=True)
         yield
 
 

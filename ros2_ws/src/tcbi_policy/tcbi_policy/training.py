@@ -3,8 +3,8 @@
     Training(folder, config, model, start, report).run()
 
 The folder holds after a while `checkpoint.safetensors` and `policy.safetensors` with its card. What is reported are
-events, each a dict with an `event`: `resumed`, `imitation`, `progress` (steps, total_steps, share, mean_return,
-elapsed_s, remaining_s, None until known), `evaluation` (on fixed seeds) and `done`.
+events, each a dict with an `event`: `resumed`, `imitation`, `progress` (steps, total_steps or 0 where only time is
+limited, share, mean_return, elapsed_s, remaining_s, None until known), `evaluation` (on fixed seeds) and `done`.
 
 Every set of episodes starts from a seed made of the run's seed and its number, and a checkpoint is written between
 sets: so a run gives the same weights whether it was killed or not, on the same machine and library versions. For
@@ -13,9 +13,9 @@ TensorBoard the folder `tensorboard` holds what is logged.
 
 import dataclasses
 import datetime
-import importlib.metadata
 import json
 import math
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -38,6 +38,7 @@ from tcbi_policy.gaits import CYCLES, Gait
 from tcbi_policy.imitation import imitate
 from tcbi_policy.mlp import Mlp
 from tcbi_policy.randomisation import prior_of, randomised
+from tcbi_policy.runs import library_versions
 from tcbi_policy.stable_baselines import (
     HexapodVecEnv,
     freeze_actor,
@@ -138,9 +139,7 @@ class Training:
         if not self.exhausted():
             self.algorithm.num_timesteps = self.state.steps
             self.environment.generation = self.state.sets
-            self.algorithm.learn(
-                self.config.steps - self.state.steps, callback=_Progress(self), reset_num_timesteps=False
-            )
+            self.algorithm.learn(self._steps_left(), callback=_Progress(self), reset_num_timesteps=False)
             self._count()
         self._clock()
         self._evaluate()
@@ -152,10 +151,21 @@ class Training:
         return policy
 
     @property
+    def _set_steps(self) -> int:
+        return self.environment.steps * self.config.environments
+
+    def _steps_left(self) -> int:
+        """Of whole sets of episodes; more than can be taken where only time is limited."""
+        if not self.config.steps:
+            return sys.maxsize
+        return math.ceil(self.config.steps / self._set_steps) * self._set_steps - self.state.steps
+
+    @property
     def warm_up(self) -> int:
-        """Sets of episodes that only fit the value: the configuration's, and at most a quarter of all."""
-        sets = math.ceil(self.config.steps / (self.environment.steps * self.config.environments))
-        return min(self.config.warm_up, sets // 4)
+        """Sets of episodes that only fit the value: the configuration's, and at most a quarter of the steps'."""
+        if not self.config.steps:
+            return self.config.warm_up
+        return min(self.config.warm_up, math.ceil(self.config.steps / self._set_steps) // 4)
 
     @property
     def copies(self) -> bool:
@@ -164,7 +174,7 @@ class Training:
 
     def exhausted(self) -> bool:
         """Whether the steps or the budget are used up."""
-        return self.state.steps >= self.config.steps or self.out_of_time()
+        return 0 < self.config.steps <= self.state.steps or self.out_of_time()
 
     def out_of_time(self) -> bool:
         """Whether the budget is used up."""
@@ -180,7 +190,7 @@ class Training:
     def _count(self) -> None:
         """Note the sets that are complete; one that the budget cut short does not count."""
         self.state.sets = self.environment.generation
-        self.state.steps = self.state.sets * self.environment.steps * self.config.environments
+        self.state.steps = self.state.sets * self._set_steps
 
     def next_set(self) -> None:
         """Between two sets of episodes: evaluate, save, report, and seed the next one."""
@@ -208,7 +218,7 @@ class Training:
 
     def _share(self) -> float:
         """Of the steps or of the budget, whichever ends the training first, 0 to 1."""
-        shares = [self.state.steps / self.config.steps]
+        shares = [self.state.steps / self.config.steps] if self.config.steps else []
         if self.config.budget_s > 0:
             shares.append(self.state.elapsed / self.config.budget_s)
         return min(1.0, max(shares))
@@ -220,7 +230,7 @@ class Training:
         """
         elapsed, steps = self.state.elapsed, self.state.steps
         limits = []
-        if not self.copies:
+        if self.config.steps and not self.copies:
             self._first_set = self._first_set or (elapsed, steps)
             began, before = self._first_set
             if steps > before:
@@ -318,19 +328,23 @@ class _Progress(BaseCallback):
     def __init__(self, training: Training):
         super().__init__()
         self._training = training
-        self._sets = -1
+        self._sets, self._taken = -1, 0  # the set at work, and how many steps of it
+        self._learns_by_the_step = training.config.algorithm == "sac"
 
     def _on_rollout_start(self) -> None:
         sets = self._training.environment.generation
         if sets != self._sets:
-            self._sets = sets
+            self._sets, self._taken = sets, 0
             self._training.next_set()
 
     def _on_step(self) -> bool:
-        between_sets = self._training.environment.generation != self._sets
-        return between_sets or not self._training.out_of_time()  # a set that is not complete is not learnt from
+        """Whether to go on, asked before the step is remembered.
 
-
-def library_versions() -> dict[str, str]:
-    """Versions of what a training depends on."""
-    return {name: importlib.metadata.version(name) for name in ("torch", "stable-baselines3", "mujoco", "numpy")}
+        What counts are whole sets. PPO has learnt nothing from one that is cut short, SAC from each of its steps: SAC
+        therefore ends at the first step of a set only, which is dropped.
+        """
+        self._taken += 1
+        complete = self._training.environment.generation != self._sets
+        if complete or (self._learns_by_the_step and self._taken > 1):
+            return True
+        return not self._training.out_of_time()

@@ -3,7 +3,7 @@
     echo RUN_FOLDER | python -m tcbi_policy.training_process
 
 The folder holds `run.json` (see runs.py). Standard output carries the events of training.py, one JSON object a line,
-and, where there is a rival, `comparing` and `comparison`.
+and, where there is a rival, `comparing` and `comparison`, which is kept in the folder, too.
 """
 
 import dataclasses
@@ -18,11 +18,14 @@ import numpy as np
 import torch
 
 from tcbi_contract.errors import TcbiError
-from tcbi_policy.artefact import Actor, Policy, find_policy, strict_json
+from tcbi_policy.artefact import Actor, Policy, find_policy, locked, replace_file, strict_json
+from tcbi_policy.attempts import confidence, next_attempt, verdict_in
+from tcbi_policy.configuration import HIGHEST_SEED
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import Comparison, Evaluation, compare_paired, draw_conditions, evaluate, noisy
 from tcbi_policy.randomisation import divided, randomised
-from tcbi_policy.runs import ERRORS, Run, alone
+from tcbi_policy.retraining import OUTCOME
+from tcbi_policy.runs import ERRORS, LOADED, Run, alone
 from tcbi_policy.training import Report, Training
 from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
@@ -31,8 +34,17 @@ ACCEPTANCE_SEED = 30_000_001  # held out from training and from the choice of th
 
 
 def train_run(folder: Path, report: Report) -> None:
-    """Run, or go on with, the training in a folder, and compare its result with the rival."""
+    """Run, or go on with, the training in a folder, and compare its result with the rival.
+
+    Raises:
+      TrainingError: the run is for other code or libraries than this process has loaded, or its folder is in use.
+    """
     run = Run.from_folder(folder)
+    if run.contents and not run.contents.endswith(LOADED):
+        raise TrainingError(
+            "the code or a library changed after the program that asks for this training (such as a retrain node) had "
+            "started; restart it"
+        )
     with alone(folder):
         _train_run(folder, run, report)
 
@@ -49,19 +61,43 @@ def _train_run(folder: Path, run: Run, report: Report) -> None:
         return
     model, unseen = divided(model)
     policy = Training(folder, run.config, model, start, report).run()
-    report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
-    comparison = compare_held_out(rival, policy, unseen, run)
-    also = run.config.randomisation()
-    statement = comparison.statement() + (f", both with {also}" if also else "")
+    note = ""
     if unseen is model:
-        statement += ", whose scenarios are new; too few particles bear weight to keep some from the training"
+        note = ", whose scenarios are new; too few particles bear weight to keep some from the training"
+    with locked(store.root / "runs"):  # one is judged at a time, so that no two are the same attempt
+        verdict = verdict_in(folder)
+        if verdict.get("policy_id") != policy.policy_id:  # the same weights are not given a second chance
+            attempt = next_attempt(store.root, rival.policy_id, run.model, run.config.task)
+            report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
+            counted = {key: verdict[key] for key in ("attempt",) if key in verdict}  # one made here before
+            verdict = counted | judge(rival, policy, unseen, run, attempt, note)
+            replace_file(folder / OUTCOME, strict_json(verdict).encode())
+    report(verdict)
+
+
+def judge(rival: Actor, policy: Policy, model: Model, run: Run, attempt: int, note: str = "") -> dict[str, Any]:
+    """The event that tells whether a policy is better than its rival, in words and figures.
+
+    A policy that is the rival itself makes no attempt.
+    """
+    comparison, also = compare_held_out(rival, policy, model, run, attempt), run.config.randomisation()
+    which: dict[str, Any] = {"rival": rival.policy_id, "model": run.model, "task": run.config.task}
+    if _unchanged(rival, policy):
+        statement = f"not better: the training found nothing better than {rival.policy_id} itself; this is no attempt"
+    else:
+        which["attempt"] = attempt
+        statement = f"{comparison.statement()}, attempt {attempt} against {rival.policy_id} on {run.model}"
+        statement += (f", both with {also}" if also else "") + note
     facts = {"better": comparison.better, "statement": statement, **dataclasses.asdict(comparison)}
-    report({"event": "comparison", "rival": rival.policy_id, "policy_id": policy.policy_id, **facts})
+    return {"event": "comparison", "policy_id": policy.policy_id, **which, **facts}
 
 
-def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run) -> Comparison:
-    """A policy against its rival on held-out draws, both with the noise and the effects of the run's training."""
-    config, seed = run.config, ACCEPTANCE_SEED + run.config.seed
+def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run, attempt: int = 1) -> Comparison:
+    """A policy against its rival on held-out draws, both with the noise and the effects of the run's training.
+
+    Every attempt has rollouts and a confidence of its own.
+    """
+    config, seed = run.config, ACCEPTANCE_SEED + run.config.seed + (attempt - 1) * (HIGHEST_SEED + 1)
     drawn = randomised(model, config.effects, config.effect_share, seed)
     conditions = draw_conditions(drawn, config.task, run.pairs, seed, systematic=True)
     known = conditions.parameters[:, : len(model.names)]  # those of the effects differ between equal vectors
@@ -71,8 +107,13 @@ def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run) -> Co
         return evaluate(noisy(actor, config.observation_noise), drawn, conditions, config.timestep, config.threads)
 
     before = rolled_out(rival)
-    unchanged = isinstance(rival, Policy) and rival.card.sha256 == policy.card.sha256  # the best was the first
-    return compare_paired(before, before if unchanged else rolled_out(policy), vectors)
+    after = before if _unchanged(rival, policy) else rolled_out(policy)
+    return compare_paired(before, after, vectors, confidence(attempt))
+
+
+def _unchanged(rival: Actor, policy: Policy) -> bool:
+    """Whether they have the same weights: the best moment of the training was its start."""
+    return isinstance(rival, Policy) and rival.card.sha256 == policy.card.sha256
 
 
 def main() -> int:

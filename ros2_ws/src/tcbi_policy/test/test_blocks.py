@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tcbi_policy.artefact import find_policy
-from tcbi_policy.blocks import OverBlocks, came_over, feet, over_blocks
+from tcbi_policy.blocks import OverBlocks, came_over, feet, over_blocks, time_past
 from tcbi_policy.evaluation import Evaluation, draw_conditions, evaluate
 from tcbi_policy.kinematics import neutral_feet
 from tcbi_sim.engine import simulate
@@ -53,6 +53,26 @@ def test_a_path_that_diverged_is_over_nothing() -> None:
     assert not came_over(np.full((5, 3), np.nan), with_blocks(BLOCK))
 
 
+TIME = np.linspace(0.0, 10.0, 400)  # of a path that is 2 m long
+
+
+def test_who_leaves_the_far_end_of_the_last_block_behind_is_past_all_of_them_also_beside_them() -> None:
+    blocks = with_blocks(dataclasses.replace(BLOCK, center=(0.5, 0.0, 0.035)), BLOCK)
+    assert time_past(TIME, straight(0.3), blocks) == pytest.approx(5.5, abs=0.03)
+    assert time_past(TIME, straight(-0.6), blocks) == pytest.approx(5.5, abs=0.03)
+    assert np.isnan(time_past(TIME, straight(0.3, to=1.09), blocks))
+    turned = with_blocks(dataclasses.replace(BLOCK, yaw=np.pi / 2))
+    assert time_past(TIME, straight(0.3), turned) == pytest.approx(5.25, abs=0.03)
+    assert np.isnan(time_past(TIME, np.full((400, 3), np.nan), blocks))
+
+
+def test_past_the_blocks_is_meant_along_the_heading_at_the_start() -> None:
+    left = dataclasses.replace(with_blocks(dataclasses.replace(BLOCK, center=(0.0, 1.0, 0.035))), initial_yaw=np.pi / 2)
+    path = straight(0.0)[:, [1, 0, 2]]
+    assert time_past(TIME, path, left) == pytest.approx(5.25, abs=0.03)
+    assert np.isnan(time_past(TIME, straight(0.0), left))
+
+
 def test_the_feet_go_along_with_the_trunk() -> None:
     attitude = quaternion_from_rpy(np.zeros(1), np.zeros(1), np.array([np.pi / 2]))
     turned = feet(np.array([[1.0, 2.0, 0.1]]), attitude, np.zeros((1, 18)))[0]
@@ -78,19 +98,23 @@ def test_standing_on_a_block_is_seen_with_the_feet_and_without_the_trunk() -> No
 
 def test_the_summary_counts_who_went_over_blocks_and_how_far_they_came_without_those_that_diverged() -> None:
     distance = np.array([4.0, 2.0, 1.0, 0.0, np.nan])
-    over = OverBlocks(np.array([True, False, False, False, True]), np.array([True, True, False, False, True]))
+    past_s = np.array([12.0, np.nan, 16.0, np.nan, 3.0])
+    over = OverBlocks(np.array([True, False, False, False, True]), np.array([True, True, False, False, True]), past_s)
     said = Evaluation(distance, distance, distance, over).summary()
     assert (said["over_blocks"], said["foot_over_blocks"]) == (2, 2)
     assert said["distance_over_blocks_m"] == pytest.approx(3.0)
     assert said["distance_not_over_blocks_m"] == pytest.approx(0.5)
-    only_trunk = OverBlocks(np.ones(5, bool), np.zeros(5, bool))
+    assert said["past_blocks_share"] == pytest.approx(2 / 5), "of all, and who diverged has not passed"
+    assert said["past_blocks_s"] == pytest.approx(14.0)
+    only_trunk = OverBlocks(np.ones(5, bool), np.zeros(5, bool), np.full(5, np.nan))
     said = Evaluation(distance, distance, distance, only_trunk).summary()
     assert (said["over_blocks"], said["foot_over_blocks"]) == (4, 0)
     assert "distance_not_over_blocks_m" not in said  # there are none
+    assert said["past_blocks_share"] == 0.0 and "past_blocks_s" not in said
 
 
 def test_an_evaluation_speaks_of_blocks_only_where_there_are_some() -> None:
     model, stand = base_model("hexapod"), find_policy("gait:stand")
     said = {task: evaluate(stand, model, draw_conditions(model, task, 2, seed=4)) for task in ("balance", "forward")}
     assert not {key for key in said["balance"].summary() if "block" in key}
-    assert said["forward"].summary()["over_blocks"] == 0
+    assert said["forward"].summary()["over_blocks"] == said["forward"].summary()["past_blocks_share"] == 0

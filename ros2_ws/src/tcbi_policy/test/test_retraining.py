@@ -1,42 +1,39 @@
 """Retraining: only what is better with confidence is accepted, and the job says so either way."""
 
+import contextlib
 import dataclasses
 import json
 import math
 import os
 import signal
+import threading
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from retraining_cases import TINY, job, robust, tiny
 
 from tcbi_contract.errors import TcbiError
-from tcbi_policy import retraining
-from tcbi_policy.artefact import Policy, find_policy, keep_policy, policy_paths, save_policy
-from tcbi_policy.configuration import TrainingConfig
+from tcbi_policy import artefact, retraining, runs, training_process
+from tcbi_policy.artefact import Policy, find_policy, keep_policy, load_policy, locked, policy_paths, save_policy
 from tcbi_policy.errors import PolicyNotFound, TrainingError
 from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import randomised
-from tcbi_policy.retraining import OUTCOME, Job, better_than_another, next_name, plan, reference_of, retrain
-from tcbi_policy.runs import Run, TrainingProcess
+from tcbi_policy.retraining import OUTCOME, better_than_another, next_name, plan, publish, reference_of, retrain
+from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_policy.training import Training
-from tcbi_policy.training_process import ACCEPTANCE_SEED, compare_held_out
+from tcbi_policy.training_process import ACCEPTANCE_SEED, compare_held_out, train_run
 from tcbi_sim.store import ModelStore
 
+__all__ = ["tiny"]  # the fixture
+
+pytestmark = pytest.mark.usefixtures("tiny")
 SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
-TINY = TrainingConfig("balance", steps=320, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
-
-
-@pytest.fixture(autouse=True)
-def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retraining, "preset", lambda name, task: dataclasses.replace(TINY, task=task))
-
-
-def job(tmp_path: Path, **changes: Any) -> Job:
-    return dataclasses.replace(Job("balance", current="balance", store=tmp_path), **changes)
 
 
 def test_a_trained_policy_is_where_training_goes_on_unless_scratch_is_asked_for(tmp_path: Path) -> None:
@@ -53,14 +50,6 @@ def test_a_policy_of_another_task_is_no_start(tmp_path: Path) -> None:
         plan(job(tmp_path, task="forward", start="balance"))
     with pytest.raises(TrainingError, match="trained policy"):
         plan(job(tmp_path, start="gait:stand"))
-
-
-def robust(tmp_path: Path, **training: Any) -> Policy:
-    """A policy in the store whose card says what else it was trained with."""
-    shipped = find_policy("balance")
-    assert isinstance(shipped, Policy)
-    card = dataclasses.replace(shipped.card, name="robust", training={**shipped.card.training, **training})
-    return save_policy(tmp_path / "policies" / "robust", shipped.mlp, card)
 
 
 def settings_of(run: Run) -> tuple[float, tuple[str, ...], float]:
@@ -132,7 +121,7 @@ def test_equal_vectors_are_one_whatever_effects_they_are_drawn_with(tmp_path: Pa
     assert "on 6 held-out rollouts of 3 parameter draws" in found.statement()
 
 
-def test_an_outcome_without_a_verdict_is_json_and_its_returns_are_not_known(
+def test_the_returns_of_an_outcome_without_a_verdict_are_not_known(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nothing: dict[str, Any] = {"better": False, "statement": "not better", "rival": "gait:stand", "gain": None}
@@ -140,7 +129,6 @@ def test_an_outcome_without_a_verdict_is_json_and_its_returns_are_not_known(
     monkeypatch.setattr(retraining, "_follow", lambda *_: found)
     outcome = retrain(job(tmp_path), lambda event: None)
     assert math.isnan(outcome.return_before) and math.isnan(outcome.return_after)
-    assert json.loads((Path(outcome.path).parent / OUTCOME).read_text()) == found
 
 
 def test_a_start_of_other_widths_is_refused_by_name_before_anything_starts(tmp_path: Path) -> None:
@@ -174,6 +162,13 @@ def test_the_budget_of_the_request_holds(tmp_path: Path) -> None:
     assert (config.budget_s, config.steps, config.seed) == (12.0, 77, 5)
 
 
+def test_a_budget_in_seconds_alone_has_no_limit_in_steps(tmp_path: Path) -> None:
+    for start in ("", "none"):
+        config = plan(job(tmp_path, start=start, budget_s=12.0)).config
+        assert (config.budget_s, config.steps) == (12.0, 0)
+        assert plan(job(tmp_path, start=start)).config.steps == TINY.steps
+
+
 def test_the_same_job_has_the_same_folder_and_another_one_another(tmp_path: Path) -> None:
     keys = [plan(job(tmp_path, seed=seed)).key("retrain") for seed in (0, 0, 1)]
     assert keys[0] == keys[1] != keys[2]
@@ -196,12 +191,53 @@ def test_a_policy_or_a_file_of_ones_own_that_has_changed_makes_it_another_run(
     assert len(set(keys)) == 3
 
 
+def test_a_run_on_other_code_or_libraries_is_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = [plan(job(tmp_path)).key("retrain")]
+    for name, found in (("code", lambda packages: "changed"), ("library_versions", lambda: {"torch": "99"})):
+        monkeypatch.setattr(runs, name, found)
+        assert plan(job(tmp_path)).key("retrain") == keys[-1], "what a process has loaded stays the same"
+        monkeypatch.setattr(runs, "LOADED", runs.installed())  # in a process that starts now
+        keys.append(plan(job(tmp_path)).key("retrain"))
+    assert len(set(keys)) == 3
+
+
+def test_a_run_on_other_code_than_the_process_that_would_train_it_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = write_run(tmp_path / "run", plan(job(tmp_path)))
+    monkeypatch.setattr(training_process, "LOADED", "code changed")
+    with pytest.raises(TrainingError, match=r"changed after the program .* had started; restart it"):
+        train_run(folder, lambda event: None)
+
+
+def test_two_policies_that_are_kept_at_once_have_a_name_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One is still being written when the other one looks for a name."""
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    folders = [tmp_path / "runs" / name for name in "ab"]
+    for number, folder in enumerate(folders):
+        biases = tuple(b + number for b in shipped.mlp.biases)
+        save_policy(folder / "policy", dataclasses.replace(shipped.mlp, biases=biases), shipped.card)
+
+    def slowly(*args: Any) -> Policy:
+        time.sleep(0.3)
+        return save_policy(*args)
+
+    monkeypatch.setattr(retraining, "save_policy", slowly)
+    with ThreadPoolExecutor(2) as pool:
+        kept = list(pool.map(lambda folder: publish(folder, tmp_path, "balance"), folders))
+    assert sorted(policy.card.name for policy in kept) == ["balance-1", "balance-2"]
+    for folder, policy in zip(folders, kept, strict=True):
+        own = load_policy(folder / "policy.safetensors").card.sha256
+        assert find_policy(policy.card.name, tmp_path).policy_id == f"{policy.card.name}@{own[:8]}"
+
+
 @SUBPROCESS
 def test_a_job_ends_with_a_verdict_and_only_a_better_policy_is_kept(tmp_path: Path) -> None:
     events: list[dict[str, Any]] = []
     outcome = retrain(job(tmp_path), events.append)
     assert next(e for e in events if e["event"] == "comparison")["pairs"] == 64
-    assert ("held-out" in outcome.message) and not outcome.cancelled
+    assert ("held-out" in outcome.message or "this is no attempt" in outcome.message) and not outcome.cancelled
     assert outcome.rival == find_policy("balance").policy_id
     assert outcome.accepted == (next_name(tmp_path, "balance") == "balance-2")
     assert outcome.accepted == bool(outcome.reference)
@@ -295,3 +331,22 @@ def test_a_policy_of_a_file_is_kept_in_the_store_once_and_found_by_its_id(tmp_pa
     assert find_policy("balance-1", store).policy_id == policy.policy_id
     keep_policy(shipped, store)
     assert sorted(p.stem for p in (store / "policies").glob("*.json")) == ["balance-1"], "what is shipped is there"
+
+
+def test_a_policy_that_two_keep_at_once_is_there_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both find that it is not there yet."""
+    shipped, asked = find_policy("balance"), threading.Barrier(2)
+    assert isinstance(shipped, Policy)
+    changed = dataclasses.replace(shipped.mlp, weights=tuple(w / 2 for w in shipped.mlp.weights))
+    policy = save_policy(tmp_path / "mine", changed, shipped.card)
+
+    @contextlib.contextmanager
+    def both(folder: Path) -> Iterator[None]:
+        asked.wait(10.0)
+        with locked(folder):
+            yield
+
+    monkeypatch.setattr(artefact, "locked", both)
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda _: keep_policy(policy, tmp_path), range(2)))
+    assert [p.stem for p in (tmp_path / "policies").glob("*.json")] == ["balance-1"]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tcbi_contract.names import CONTROL_RATE_HZ
 from tcbi_policy import imitation
 from tcbi_policy import training as training_module
 from tcbi_policy.artefact import Policy, load_policy
@@ -26,6 +27,7 @@ from tcbi_policy.stable_baselines import OBSERVATION_SCALE
 from tcbi_policy.training import Training
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.model import base_model
+from tcbi_sim.tasks import find_task
 
 MODEL = base_model("hexapod")
 SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
@@ -198,6 +200,46 @@ def test_a_budget_in_seconds_ends_the_run(tmp_path: Path) -> None:
     assert policy.card.training["steps_taken"] < 10**6
 
 
+def test_a_run_without_a_limit_in_steps_tells_its_share_of_the_time_and_warms_up_as_it_is_told(tmp_path: Path) -> None:
+    config = dataclasses.replace(TINY, steps=0, budget_s=20.0, warm_up=2)
+    told = progress_events(tmp_path, config, [(5.0, 0), (15.0, 160)])
+    assert [(e["share"], e["total_steps"]) for e in told] == [(0.25, 0), (0.75, 0)]
+    assert [e["remaining_s"] for e in told] == [pytest.approx(15.0), pytest.approx(5.0)]
+    assert Training(tmp_path, config, MODEL).warm_up == 2
+
+
+def test_a_run_without_a_limit_in_steps_ends_with_its_time(tmp_path: Path) -> None:
+    policy = train(tmp_path, dataclasses.replace(TINY, steps=0, budget_s=0.5))
+    assert policy.card.training["steps_taken"] < 10**6
+
+
+def test_sac_ends_between_two_sets_when_its_time_is_over_in_mid_set(tmp_path: Path) -> None:
+    config = dataclasses.replace(TINY, algorithm="sac", updates=1, batch_size=8, steps=10**6, budget_s=1e6)
+    training = Training(tmp_path, config, MODEL)
+    step, taken = training.environment.step, []
+
+    def counted(action: np.ndarray) -> Any:
+        taken.append(action)
+        if len(taken) == 50:
+            training.state.elapsed = 2e6
+        return step(action)
+
+    training.environment.step = counted  # type: ignore[method-assign]
+    training.run()
+    buffer: Any = training.algorithm.replay_buffer  # type: ignore[attr-defined]
+    assert training.state.steps == 2 * 160 and buffer.size() == 2 * 40
+    with np.load(tmp_path / "replay-320.npz") as file:
+        assert file["pos"][0] == 2 * 40
+
+
+def test_sac_takes_whole_sets_of_steps(tmp_path: Path) -> None:
+    config = dataclasses.replace(TINY, algorithm="sac", updates=1, batch_size=8, steps=200)
+    training = Training(tmp_path, config, MODEL)
+    training.run()
+    buffer: Any = training.algorithm.replay_buffer  # type: ignore[attr-defined]
+    assert training.state.steps == 2 * 160 and buffer.size() == 2 * 40
+
+
 def test_sac_goes_on_with_what_it_remembers(tmp_path: Path) -> None:
     config = dataclasses.replace(TINY, algorithm="sac", updates=1, batch_size=8)
     with pytest.raises(Killed):
@@ -245,7 +287,8 @@ def test_a_budget_ends_the_copying_of_a_gait_too_which_says_how_far_it_is(
     ("changes", "says"),
     [
         ({"algorithm": "dqn"}, "ppo or sac"),
-        ({"steps": 0}, "steps"),
+        ({"steps": 0}, "steps: got 0, allowed is more than 0, or 0 where budget_s is more than 0"),
+        ({"steps": -1, "budget_s": 5.0}, "steps: got -1"),
         ({"gamma": 1.0}, "gamma"),
         ({"budget_s": -1.0}, "budget_s"),
         ({"seed": 2**32}, "seed: got 4294967296, allowed is 0 to 4294967295"),
@@ -268,7 +311,10 @@ def test_presets_exist_for_both_tasks_and_the_papers_settings_are_the_papers() -
         paper.tau,
         paper.layers,
     )
-    assert settings == ("sac", 5_000_000, 1e-3, 256, 0.99, 0.005, (256, 256))
+    assert settings == ("sac", 5_001_600, 1e-3, 256, 0.99, 0.005, (256, 256))
+    for task in ("balance", "forward"):
+        config, ticks = preset("paper", task), round(find_task(task).duration * CONTROL_RATE_HZ)
+        assert config.steps % (config.environments * ticks) == 0, "whole sets of episodes"
     assert paper.updates == paper.environments  # one update for each step
     with pytest.raises(UnknownNameError, match="fast, paper"):
         preset("quick", "balance")
@@ -323,6 +369,14 @@ def test_a_process_that_stands_by_ends_with_its_owner() -> None:
     process = TrainingProcess()
     process.close()
     assert process.poll(5.0) == (None, True)
+
+
+def test_what_a_killed_training_left_half_written_is_gone_when_the_next_one_begins(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0"))
+    for name in (".checkpoint.safetensors.4711", ".replay-160.npz.4711", "checkpoint.safetensors"):
+        (folder / name).touch()
+    with alone(folder):
+        assert sorted(path.name for path in folder.iterdir()) == ["checkpoint.safetensors", "run.json"]
 
 
 def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
