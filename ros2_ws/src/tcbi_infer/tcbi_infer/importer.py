@@ -4,7 +4,7 @@
     measurement = read_log(mapping, Path("kp100_sin_sin.json"))
 
 A log is a file, or a folder of files (say, commands and states apart). docs/bags.md describes the mapping file.
-Repeated and backward time stamps are put in order, and said, as in any bag.
+Repeated and backward time stamps are put in order, and said, as in any bag; so is what is left out.
 """
 
 import csv
@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from tcbi_contract.wording import counted
 from tcbi_infer.bags.streams import ordered
 from tcbi_infer.errors import MappingError
 from tcbi_infer.mapping import Mapping, Signal
@@ -35,8 +36,8 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
     Raises:
       MappingError: the log cannot be read, or is not what the mapping says; everything wrong at once where possible.
     """
-    tables = _Tables(mapping, log)
     notes: list[str] = []
+    tables = _Tables(mapping, log, notes)
     position = mapping.position
     stamp = _stamps(tables, position, mapping)
     order = ordered(position.columns[0], stamp, notes)
@@ -46,9 +47,14 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
         notes.append(f"{int(np.sum(~finite))} samples hold no number and are left out")
     order, rows = order[finite], rows[finite]
     if len(order) < 2:
-        raise MappingError(f"{log}: holds {len(order)} samples with a time and a position, at least 2 are needed")
+        because = f" ({'; '.join(notes)})" if notes else ""
+        raise MappingError(
+            f"{log}: holds {len(order)} samples with a time and a position, at least 2 are needed{because}"
+        )
     zero = int(stamp[order[0]])
     time = (stamp[order] - zero) / 1e9
+    commands = _commands(tables, mapping, zero, int(stamp[order[-1]]), rows[0], notes)
+    readings = within(_readings(tables, mapping, zero), 0.0, float(time[-1]))
     return Measurement(
         rollout_id=rollout_name(log),
         rig=mapping.rig,
@@ -61,13 +67,13 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
         ),
         policy_id=mapping.policy_id,
         source=mapping.source,
-        commands=_commands(tables, mapping, zero, int(stamp[order[-1]]), notes),
+        commands=commands,
         joint_names=mapping.joints,
         foot_names=(),
         time=time,
         joint_position=rows,
         notes=tuple(notes),
-        readings=within(_readings(tables, mapping, zero), 0.0, float(time[-1])),
+        readings=readings,
     )
 
 
@@ -86,10 +92,10 @@ def rollout_name(log: Path) -> str:
 
 
 class _Tables:
-    """The columns of a log's files, read once."""
+    """The columns of a log's files, read once; what a file loses thereby is said in `notes`."""
 
-    def __init__(self, mapping: Mapping, log: Path) -> None:
-        self.log, self.mapping = log, mapping
+    def __init__(self, mapping: Mapping, log: Path, notes: list[str]) -> None:
+        self.log, self.mapping, self.notes = log, mapping, notes
         self._cache: dict[Path, tuple[Table, dict[str, Any]]] = {}
 
     def column(self, signal: Signal, name: str) -> list[Any]:
@@ -124,11 +130,11 @@ class _Tables:
 
     def _read(self, path: Path) -> tuple[Table, dict[str, Any]]:
         if path not in self._cache:
-            self._cache[path] = _parse(path, self.mapping.entries)
+            self._cache[path] = _parse(path, self.mapping.entries, self.notes)
         return self._cache[path]
 
 
-def _parse(path: Path, entries: str) -> tuple[Table, dict[str, Any]]:
+def _parse(path: Path, entries: str, notes: list[str]) -> tuple[Table, dict[str, Any]]:
     try:
         raw = path.read_bytes()
         text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig")
@@ -138,16 +144,29 @@ def _parse(path: Path, entries: str) -> tuple[Table, dict[str, Any]]:
     if kind == "json":
         return _parse_json(path, text, entries)
     if kind == "csv":
-        try:
-            rows = list(csv.reader(io.StringIO(text)))
-        except csv.Error as e:
-            raise MappingError(f"{path}: is no CSV ({e}); record or copy it again") from e
-        if not rows:
-            raise MappingError(f"{path}: is empty")
-        width = len(rows[0])
-        body = [row for row in rows[1:] if len(row) == width]  # a cut-off last line has fewer
-        return {name.strip(): [row[i] for row in body] for i, name in enumerate(rows[0])}, {}
+        return _parse_csv(path, text, notes), {}
     raise MappingError(f"{path}: got a {kind!r} file, allowed are .json, .csv, and both with .gz")
+
+
+def _parse_csv(path: Path, text: str, notes: list[str]) -> Table:
+    reader = csv.reader(io.StringIO(text))
+    try:
+        rows = [(reader.line_num, row) for row in reader if row]
+    except csv.Error as e:
+        raise MappingError(f"{path}: is no CSV ({e}); record or copy it again") from e
+    if not rows:
+        raise MappingError(f"{path}: is empty")
+    header = rows[0][1]
+    if len(rows[-1][1]) < len(header):
+        rows.pop()  # cut off when the logger was stopped: how most logs end, and worth no note
+    odd = [line for line, row in rows if len(row) != len(header)]
+    if odd:
+        notes.append(
+            f"{path.name}: left out {counted(len(odd), 'row')} of another width than the header's {len(header)}, "
+            f"the first in line {odd[0]}"
+        )
+    body = [row for _, row in rows[1:] if len(row) == len(header)]
+    return {name.strip(): [row[i] for row in body] for i, name in enumerate(header)}
 
 
 def _parse_json(path: Path, text: str, entries: str) -> tuple[Table, dict[str, Any]]:
@@ -158,7 +177,7 @@ def _parse_json(path: Path, text: str, entries: str) -> tuple[Table, dict[str, A
     samples = content if isinstance(content, list) else content.get(entries) if isinstance(content, dict) else None
     if not isinstance(samples, list) or not samples or not all(isinstance(s, dict) for s in samples):
         raise MappingError(f"{path}: holds no list of samples under {entries!r}; set `entries` in the mapping")
-    keys = list(samples[0])
+    keys = list(dict.fromkeys(key for sample in samples for key in sample))  # some are told in some samples alone
     header = {k: v for k, v in content.items() if k != entries} if isinstance(content, dict) else {}
     return {key: [sample.get(key) for sample in samples] for key in keys}, header
 
@@ -202,27 +221,32 @@ def _number(value: Any) -> float:
 
 
 def _lists(tables: _Tables, signal: Signal, least: int) -> np.ndarray:
-    """A column of lists, written as JSON in strings or as JSON itself."""
+    """A column of lists, written as JSON in strings or as JSON itself; NaN where a list is missing or empty."""
     name = signal.columns[0]
     found = []
     for row, value in enumerate(tables.column(signal, name), start=1):
         try:
-            values = json.loads(value) if isinstance(value, str) else value
-            found.append([_number(v) for v in values])
+            values = json.loads(value or "null") if isinstance(value, str) else value
+            if not isinstance(values, list | None):
+                raise TypeError("no list")
+            found.append([_number(v) for v in values or ()])
         except (TypeError, ValueError, OverflowError, RecursionError) as e:
             raise MappingError(f"{tables.log}: sample {row} of {name!r} is no list of numbers: {value!r}") from e
-    widths = sorted({len(values) for values in found})
+    widths = sorted({len(values) for values in found if values})
     if len(widths) != 1 or widths[0] < least:
         raise MappingError(
             f"{tables.log}: {name!r} holds lists of {widths} values, at least {least} everywhere are needed"
         )
-    return np.array(found)
+    return np.array([values or [math.nan] * widths[0] for values in found])
 
 
-def _commands(tables: _Tables, mapping: Mapping, zero: int, end: int, notes: list[str]) -> Commands:
+def _commands(tables: _Tables, mapping: Mapping, zero: int, end: int, start: np.ndarray, notes: list[str]) -> Commands:
     """The commands on the rollout's clock, from `zero` to before `end` (ns).
 
     One that repeats the command before it says nothing and is left out.
+
+    Args:
+      start: (J,) the first measured position, rad.
     """
     signal, none = mapping.command, Commands(np.empty(0), np.empty((0, len(mapping.joints))))
     if signal is None:
@@ -230,10 +254,16 @@ def _commands(tables: _Tables, mapping: Mapping, zero: int, end: int, notes: lis
         return none
     stamp = _stamps(tables, signal, mapping)
     target = _rows(tables, signal, mapping)
-    on = _torque_on(tables, mapping, len(stamp))
-    finite = np.isfinite(target).all(axis=1)
-    order = ordered(signal.columns[0], stamp[finite], notes)
-    stamp, target, on = stamp[finite][order], target[finite][order], on[finite][order]
+    flag = _torque_flags(tables, mapping, len(stamp))
+    there = np.isfinite(target).all(axis=1) | (flag <= 0.5)  # loggers give a limp servo no goal; its flag must stay
+    if not there.all():
+        notes.append(f"{signal.columns[0]}: left out {counted(int(np.sum(~there)), 'command')} without a number")
+    order = np.flatnonzero(there)[ordered(signal.columns[0], stamp[there], notes)]
+    stamp, on = stamp[order], flag[order] > 0.5
+    if mapping.torque_commands:
+        target = np.where(np.isfinite(target[order]), target[order], 0.0)  # a limp motor has none
+    else:
+        target = _carried(target[order], start)
     effective = stamp < end
     stamp, target, on = stamp[effective], target[effective], on[effective]
     if not stamp.size:
@@ -249,13 +279,21 @@ def _commands(tables: _Tables, mapping: Mapping, zero: int, end: int, notes: lis
     return Commands((stamp[new] - zero) / 1e9, target[new], mapping.ramp, None if on.all() else on[new])
 
 
-def _torque_on(tables: _Tables, mapping: Mapping, count: int) -> np.ndarray:
+def _carried(target: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Targets (N, J) in the order of time; what is no number becomes the joint's last one, before any `start`."""
+    told = np.vstack([start, target])
+    last = np.maximum.accumulate(np.where(np.isfinite(told), np.arange(len(told))[:, None], 0), axis=0)
+    return np.take_along_axis(told, last, axis=0)[1:]
+
+
+def _torque_flags(tables: _Tables, mapping: Mapping, count: int) -> np.ndarray:
+    """(N,) above 0.5 where the servos are powered; NaN where the log does not say."""
     if mapping.torque_on is None:
-        return np.ones(count, bool)
+        return np.ones(count)
     values = _numbers(tables, mapping.torque_on, mapping.torque_on.columns[0])
     if len(values) != count:
         raise MappingError(f"{tables.log}: {len(values)} torque flags for {count} commands; they must be in one file")
-    return values > 0.5
+    return values
 
 
 def _readings(tables: _Tables, mapping: Mapping, zero: int) -> Readings:

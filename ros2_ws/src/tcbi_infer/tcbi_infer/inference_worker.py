@@ -20,6 +20,7 @@ from tcbi_infer import posterior
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare import compare
 from tcbi_infer.compare.history import common_floor
+from tcbi_infer.compare.ladder import seen_by, was_seen
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import diagnose
@@ -125,7 +126,8 @@ def run_inference(job: Job, emit: Emit) -> None:
     reference = _reference(job, store, model)
     emit("posterior", **summary(result, saved, moved(reference, result)))
     try:
-        _judge((reference, saved), usable(job.held_out, emit, model.rig), emit)
+        versions = reference, saved
+        _judge(versions, _unseen(usable(job.held_out, emit, model.rig), versions, store, emit), emit)
     except InferError as e:  # no reason to lose the posterior
         emit("warning", message=f"no error is judged: {e}")
 
@@ -134,6 +136,19 @@ def _reference(job: Job, store: ModelStore, model: Model) -> Model:
     """What shift and error are measured from; a version of another rig says nothing of this one."""
     reference = store.load(job.reference, model.rig) if job.reference else model
     return reference if reference.rig == model.rig else model
+
+
+def _unseen(
+    held_out: list[Measurement], versions: tuple[Model, Model], store: ModelStore, emit: Emit
+) -> list[Measurement]:
+    """Those that neither version's line of fits has seen: a user may have fitted one to all bags of the folder."""
+    models = store.history(versions[0].rig)
+    seen = {r for version in versions for r in seen_by(version, models)}
+    known = [m.rollout_id for m in held_out if was_seen(m, seen)]
+    if known:
+        said = f"{versions[0].version} or the version after it comes from a fit that has seen them"
+        emit("warning", message=f"no error is judged on {', '.join(known)}: {said}")
+    return [m for m in held_out if m.rollout_id not in known]
 
 
 def _judge(versions: tuple[Model, Model], held_out: list[Measurement], emit: Emit) -> None:

@@ -163,6 +163,30 @@ def test_the_neural_posterior_is_the_exact_one_of_a_normal_problem() -> None:
     assert state.draws.var() == pytest.approx(0.2, rel=0.4)
 
 
+def test_the_network_is_trained_once_after_the_last_generation(monkeypatch) -> None:
+    taught: list[int] = []
+
+    def asked(summary: np.ndarray, z: np.ndarray, real: np.ndarray, count: int, **_) -> np.ndarray:
+        taught.append(len(z))
+        return np.ones((count, z.shape[1]))
+
+    monkeypatch.setattr("tcbi_infer.baselines.mixture_network.posterior_draws", asked)
+    settings = npe.NpeSettings(particles=20, generations=3)
+    before = run(npe, settings, simulated, npe.init(1, REAL), 2)
+    assert before.draws.mean() == pytest.approx(0.0, abs=0.1) and before.draws.std() == pytest.approx(1.0, abs=0.1)
+    after = npe.step(np.random.default_rng(2), before, simulated, settings)
+    assert taught == [60] and np.all(after.draws == 1)
+
+
+@pytest.mark.parametrize("left", [1, 4])
+def test_a_network_that_nearly_nothing_is_left_for_says_so(left: int) -> None:
+    def few(unit: np.ndarray) -> Trajectories:
+        return simulated(unit)._replace(valid=np.arange(len(unit)) < left)
+
+    with pytest.raises(InferError, match=f"simulations of 50 .*: got {left}, allowed is 5 or more; .* time step"):
+        npe.step(np.random.default_rng(0), npe.init(1, REAL), few, npe.NpeSettings(generations=1))
+
+
 def test_bayesian_optimisation_finds_the_minimum_better_than_chance() -> None:
     pytest.importorskip("optuna")
     settings = bayesopt.BayesOptSettings(particles=20)

@@ -63,6 +63,17 @@ def test_without_repeats_every_floor_says_that_it_is_estimated(rollouts):
     assert np.isnan(named(single.statistics, "return").noise_floor), "two rollouts cannot show their own scatter"
 
 
+def test_copies_of_a_recording_make_no_floor_for_any_signal_or_statistic(rollouts):
+    copies = [rollouts[0], dataclasses.replace(rollouts[0], rollout_id="copy")]
+    once, twice = (compare(base_model("hexapod"), given, particles=0) for given in (copies[:1], copies))
+    assert {e.floor_from for e in (*twice.signals, *twice.statistics)} == {"residual"}
+    assert [e.noise_floor for e in twice.signals] == pytest.approx([e.noise_floor for e in once.signals], nan_ok=True)
+    thrice = compare(
+        base_model("hexapod"), [*copies, dataclasses.replace(rollouts[0], rollout_id="another")], particles=0
+    )
+    assert np.isnan(named(thrice.statistics, "return").noise_floor), "copies do not scatter"
+
+
 def test_bands_and_scores_do_not_depend_on_how_many_motions_fit_into_memory(rollouts, found, monkeypatch):
     monkeypatch.setattr(module, "MEMORY", 1)
     one_by_one = compare(MODEL, rollouts, particles=4)

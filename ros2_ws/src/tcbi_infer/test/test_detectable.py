@@ -11,7 +11,7 @@ from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose.detectable import HEAD, SIZES, _Ray, _Use, robust_gain, rows
 from tcbi_infer.diagnose.evidence import DetectableSize, Diagnosis
 from tcbi_infer.diagnose.false_alarms import false_alarms
-from tcbi_infer.diagnose.null import Null
+from tcbi_infer.diagnose.null import Null, sign_patterns, threshold_of
 from tcbi_infer.diagnose.screen import Targets
 from tcbi_infer.diagnose.settings import QUICK
 from tcbi_sim.effects import library
@@ -123,6 +123,30 @@ def test_the_false_alarm_rate_is_not_five_percent_by_construction():
     maxima = 2.0 + np.random.default_rng(0).standard_t(3, (20, 300))
     passed = [round(300 * (false_alarms(dataclasses.replace(null(0, 8), maxima=m)).rate or 0.0)) for m in maxima]
     assert len(set(passed)) > 3 and np.mean(passed) == pytest.approx(15, abs=3)
+
+
+@pytest.mark.parametrize("kinds", [2, 5, 8, 9])
+def test_signs_come_in_every_pattern_equally_often_where_there_are_few(kinds):
+    patterns = sign_patterns(kinds, 300, np.random.default_rng(1))
+    assert patterns.shape == (300, kinds) and set(np.unique(patterns)) == {-1.0, 1.0}
+    often = np.unique(patterns, axis=0, return_counts=True)[1]
+    assert kinds == 9 or (len(often) == 2**kinds and np.ptp(often) <= 1)
+
+
+@pytest.mark.parametrize("worst", [[1, 1, 1, 1, 1], [1, -1, 1, 1, -1]])
+def test_a_threshold_of_five_kinds_does_not_hang_on_how_often_one_pattern_was_drawn(worst):
+    """Of the sixteen patterns one, whichever, makes of the discrepancy something like an effect."""
+    thresholds, alarms = [], []
+    for seed in range(20):
+        patterns = sign_patterns(5, 300, np.random.default_rng(seed))
+        maxima = np.random.default_rng(100 + seed).uniform(0.0, 3.0, 300)
+        maxima[np.abs(patterns @ worst) == 5] = 9.0
+        thresholds.append(threshold_of(maxima, 5))
+        alarms.append(false_alarms(dataclasses.replace(null(0, 5), maxima=maxima)))
+    assert max(thresholds) < 3.1, "that of the other patterns"
+    assert min(a.rate for a in alarms) > 1 / 16, "it is counted as the alarms that it makes"
+    assert all("With 5 kinds of motion the threshold aims at 9.4 %" in a.statement for a in alarms)
+    assert threshold_of(maxima, 4) == 9.0, "where no rate is told, it sets the threshold"
 
 
 def test_no_alarm_seen_is_no_rate_of_zero():

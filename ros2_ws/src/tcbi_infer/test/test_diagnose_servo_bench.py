@@ -114,11 +114,23 @@ def test_one_kind_of_motion_tells_nothing():
     assert "Nothing was held out" in report.html() and "Every effect of the library was tried" not in report.html()
 
 
+def test_a_parameter_of_the_model_that_changes_nothing_is_told():
+    rollouts = record(base_model("servo_bench"), BASE)
+    model = base_model("servo_bench").with_effect("torque_saturation").with_effect("thermal_fading")
+    found = diagnose(model, rollouts, uses=["rotor_inertia"], settings=QUICK)
+    idle = [told for told in found.guards if "changes nothing" in told]
+    assert idle == ["The model's parameter thermal_fading.time_constant changes nothing in these rollouts."]
+
+
 def test_one_kind_of_motion_is_enough_to_fit_the_one_effect_that_is_asked_for():
     truth = base_model("servo_bench").with_effect("command_latency")
     found = adopt.fit_effect(base_model("servo_bench"), "command_latency", record(truth, np.r_[BASE, 0.06])[:2])
     assert (found.verdict, found.effects) == ("cannot_tell", ()) and found.nothing_held_out
-    assert adopted(found).mean()[-1] == pytest.approx(0.06, abs=0.02)
+    child = adopted(found)
+    assert child.mean()[-1] == pytest.approx(0.06, abs=0.02)
+    (kept,) = history([dataclasses.replace(child, version="servo_bench-v1")])
+    assert kept.error_over_floor is None, "an error on the motion of the fit is none on unseen ones"
+    assert np.isfinite(child.evidence["error_over_floor"])
 
 
 def test_twins_that_only_body_sensors_could_tell_apart_are_not_told_apart():

@@ -8,7 +8,7 @@ from bench_recordings import BASE, record
 
 from tcbi_contract.names import JOINT_LIMIT, JOINTS
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.diagnose import Diagnosis, diagnose
+from tcbi_infer.diagnose import Diagnosis, diagnose, excitation
 from tcbi_infer.diagnose.excitation import TELLING, advice, expected_ratio, planted
 from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.motions import ready_motions, standard_motions
@@ -122,3 +122,25 @@ def test_without_recordings_there_are_five_kinds_of_motion_within_the_rigs_range
     limit = JOINT_LIMIT if load_rig(rig).joint_names == JOINTS else load_rig(rig).joint_range
     assert len({m.scenario.task for m in motions}) == 1 and len(motions) >= 5
     assert all(np.abs(m.commands.target).max() <= limit + 1e-9 and m.scenario.duration == 3.0 for m in motions)
+
+
+@pytest.mark.parametrize(
+    ("uses", "fits", "pairs"),
+    [
+        ("abcde", "abcde", [("a", "b"), ("a", "c"), ("a", "d")]),  # the best against three rivals at most
+        ("ab", "abc", [("a", "b")]),
+        ("a", "ab", [("a", "")]),
+        ("", "bc", [("b", "")]),  # none named: the best one fitted, against the model without it
+    ],
+)
+def test_the_best_is_to_be_told_from_each_of_its_rivals(monkeypatch, uses, fits, pairs):
+    asked = []
+
+    def told(problem, names, rivals, motions, timestep):
+        asked.append((names, rivals))
+        return (names,)
+
+    monkeypatch.setattr(excitation, "next_motions", told)
+    found = excitation.between(None, list(uses), "base", {use: f"fit of {use}" for use in fits}, ["a motion"], 0.005)
+    assert list(found) == [names for names, _ in asked] == pairs
+    assert all(fitted == (f"fit of {a}", f"fit of {b}" if b else "base") for (a, b), fitted in asked)

@@ -11,7 +11,7 @@ from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
 from tcbi_infer.diagnose.base_fit import base_starts
-from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import ROUNDS, Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.heldout import held_out
 from tcbi_infer.diagnose.null import noise_draws
 from tcbi_infer.diagnose.problem import Problem
@@ -105,6 +105,22 @@ def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter
     assert not fitter.polish(good).converged
 
 
+@pytest.mark.parametrize(
+    ("falls", "rounds", "converged"), [([50, 50, 0], 3, True), ([0], 1, True), ([50] * 20, ROUNDS, False)]
+)
+def test_a_fit_is_polished_until_its_loss_stays(fitter, monkeypatch, falls, rounds, converged):
+    begun = dataclasses.replace(fitter.run(to_unit(MODEL, BASE)[None], steps=()), converged=True)
+    totals, runs = iter(1000.0 - np.cumsum([0, 0, *falls])[1:]), []
+
+    def run(*arguments, **known):
+        runs.append("known" in known)
+        return dataclasses.replace(begun, loss=np.array([next(totals)]))
+
+    monkeypatch.setattr(fitter, "run", run)
+    assert fitter.polish(begun).converged == converged
+    assert runs == [True] + [False] * rounds
+
+
 def test_a_use_that_diverges_at_every_size_is_not_said_to_change_nothing(fitter, monkeypatch):
     base = fitter.run(to_unit(MODEL, BASE)[None], steps=())
     diverge(monkeypatch, lambda model, parameters: np.full(len(parameters), "backlash" in model.effects))
@@ -152,5 +168,5 @@ def test_a_recording_given_twice_is_no_repeat_without_noise(fitter):
         problem = dataclasses.replace(
             fitter.problem, replay=dataclasses.replace(fitter.problem.replay, replicates=sets)
         )
-        drawn.append(np.sqrt(times) * noise_draws(problem, fitter.sets, 3, np.random.default_rng(0)))
+        drawn.append(noise_draws(problem, fitter.sets, 3, np.random.default_rng(0)))
     np.testing.assert_allclose(*drawn)

@@ -68,6 +68,65 @@ def test_an_imported_rollout_survives_its_bag(tmp_path):
     assert differences(m, read_measurement(write_measurement(tmp_path / "bags", m))) == []
 
 
+@pytest.mark.parametrize("no_goal", [None, float("nan"), ""])
+def test_a_limp_servo_that_is_given_no_goal_keeps_its_torque_flag(tmp_path, no_goal):
+    samples = [{**s, "goal_position": s["goal_position"] if s["torque_enable"] else no_goal} for s in SAMPLES]
+    m = read_log(load_mapping("xl330_bench"), log(tmp_path, samples))
+    np.testing.assert_array_equal(m.commands.time, [0.0, 0.005, 0.02])
+    np.testing.assert_array_equal(m.commands.target[:, 0], [0.0, 0.5, 0.5])
+    np.testing.assert_array_equal(m.commands.torque_on, [True, True, False])
+    assert m.notes == ()
+    assert differences(m, read_measurement(write_measurement(tmp_path / "bags", m))) == []
+
+
+def test_a_servo_that_is_limp_before_its_first_goal_has_the_first_position_as_its_goal(tmp_path):
+    goals = [(None, False), (None, False), (0.5, True), (None, False), (0.7, True)]
+    samples = [{**s, "goal_position": g, "torque_enable": on} for s, (g, on) in zip(SAMPLES, goals, strict=True)]
+    m = read_log(load_mapping("xl330_bench"), log(tmp_path, [samples[i] for i in (0, 1, 3, 2, 4)]))
+    np.testing.assert_array_equal(m.commands.time, [0.0, 0.011, 0.02])
+    np.testing.assert_array_equal(m.commands.target[:, 0], [0.1, 0.5, 0.5])  # in the order of time, not of the file
+    np.testing.assert_array_equal(m.commands.torque_on, [False, True, False])
+
+
+def test_a_log_that_begins_limp_may_hold_no_goal_at_all_by_then(tmp_path):
+    limp = {k: v for k, v in SAMPLES[0].items() if k != "goal_position"} | {"torque_enable": False}
+    m = read_log(load_mapping("xl330_bench"), log(tmp_path, [limp, *SAMPLES[1:]]))
+    assert m.commands.torque_on is not None and not m.commands.torque_on[0]
+
+
+@pytest.mark.parametrize("missing", ["", "null", "[]"])
+def test_a_limp_arm_may_hold_an_empty_list_of_goals(tmp_path, missing):
+    text = CSV_MAPPING.replace('columns = ["ta", "tb"]', 'column = "u"\nlist = true') + '[torque_on]\ncolumn = "on"\n'
+    path = tmp_path / "run.csv"
+    rows = ["t,qa,qb,u,on", '0,0,0,"[1,2]",1', f"10,0,0,{missing},0", '20,0,0,"[3,4]",1', "30,0,0,[],0"]
+    path.write_text("\n".join(rows) + "\n")
+    m = read_log(load_mapping(mapping_file(tmp_path, text)), path)
+    np.testing.assert_array_equal(m.commands.torque_on, [True, False, True])
+    path.write_text("\n".join(rows).replace(f",{missing},", ",0,") + "\n")
+    with pytest.raises(MappingError, match="sample 2 of 'u' is no list of numbers"):
+        read_log(load_mapping(mapping_file(tmp_path, text)), path)
+
+
+@pytest.mark.parametrize("flag", [True, None])
+def test_a_command_without_a_number_is_left_out_and_told_where_its_servo_is_not_limp(tmp_path, flag):
+    samples = [dict(s, torque_enable=True) for s in SAMPLES]
+    for sample in samples[2:4]:
+        sample.update(goal_position=None, torque_enable=flag)
+    m = read_log(load_mapping("xl330_bench"), log(tmp_path, samples))
+    np.testing.assert_array_equal(m.commands.time, [0.0, 0.005])
+    assert m.commands.torque_on is None
+    assert m.notes == ("goal_position: left out 2 commands without a number",)
+
+
+def test_a_limp_motor_that_is_given_no_torque_has_none(tmp_path):
+    text = CSV_MAPPING + '[torque_on]\ncolumn = "on"\n'
+    path = tmp_path / "run.csv"
+    path.write_text("t,qa,qb,ta,tb,on\n0,90,180,,,0\n10,0,0,1,3,1\n20,0,0,nan,,0\n30,0,0,,,0\n")
+    m = read_log(load_mapping(mapping_file(tmp_path, text)), path)
+    np.testing.assert_array_equal(m.commands.target, [[0, 0], [1, 3], [0, 0]])
+    np.testing.assert_array_equal(m.commands.torque_on, [False, True, False])
+
+
 def test_repeated_and_backward_times_are_put_in_order_and_said(tmp_path):
     times = [0.0, 0.02, 0.01, 0.03, 0.03, 0.04]
     samples = [{**SAMPLES[0], "timestamp": t, "position": t} for t in times]
@@ -124,6 +183,41 @@ def test_a_csv_log_with_units_signs_and_offsets(tmp_path, packed):
     assert m.scenario.constant("link") == 0.3
     bag = write_measurement(tmp_path / "bags", m, torque_commands=True)
     assert differences(m, read_measurement(bag)) == []
+
+
+def test_rows_of_another_width_are_told_but_a_cut_off_last_line_is_not(tmp_path):
+    path = tmp_path / "run.csv"
+    whole = "t,qa,qb,ta,tb\n0,90,180,1,2\n\n5,45\n10,0,0,1,3\n15,1,2,3,4,5\n20,45,90,1,3\n"
+    mapping = load_mapping(mapping_file(tmp_path, CSV_MAPPING))
+    for text in (whole, whole + "25,4", whole + "\n\n"):
+        path.write_text(text)
+        m = read_log(mapping, path)
+        np.testing.assert_array_equal(m.time, [0.0, 0.01, 0.02])
+        assert m.notes == ("run.csv: left out 2 rows of another width than the header's 5, the first in line 4",)
+
+
+def test_rows_of_another_width_are_told_of_every_file(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "states.csv").write_text("t,qa,qb\n0,90,180\n10,0,0\n")
+    (folder / "commands.csv").write_text("t,ta,tb\n0,1,2\n1,2\n5,2,3\n")
+    (folder / "slow.csv").write_text("t,volt\n0,7.4\n1\n5,7.3\n")
+    text = CSV_MAPPING.replace("[command]", '[command]\nfile = "commands.csv"').replace(
+        "[position]", '[position]\nfile = "states.csv"'
+    )
+    text += '[readings]\nvoltage_V = {column = "volt", file = "slow.csv"}\n'
+    m = read_log(load_mapping(mapping_file(tmp_path, text)), folder)
+    assert [note.partition(" of another")[0] for note in m.notes] == [
+        "commands.csv: left out 1 row",
+        "slow.csv: left out 1 row",
+    ]
+
+
+def test_a_log_whose_rows_all_have_another_width_than_its_header_says_so(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,qa,qb,ta,tb\n0,90,180,1,2,\n10,0,0,1,3,\n")
+    with pytest.raises(MappingError, match=r"holds 0 samples.*left out 2 rows.*the header's 5, the first in line 2"):
+        read_log(load_mapping(mapping_file(tmp_path, CSV_MAPPING)), path)
 
 
 def test_list_columns_in_two_files_of_a_folder(tmp_path):
@@ -230,6 +324,7 @@ def test_a_log_without_a_command_in_its_time_is_a_rollout_without_commands(tmp_p
     m = read_log(load_mapping(mapping_file(tmp_path, text)), folder)
     assert not len(m.commands.time)
     assert "no command before the last sample: nothing can be simulated again" in " ".join(m.notes)
+    assert ("ta: left out 2 commands without a number" in m.notes) == (len(rows) == 2)
 
 
 def test_a_log_that_is_only_a_header_holds_no_samples(tmp_path):

@@ -146,6 +146,18 @@ def test_rollouts_to_judge_on_that_cannot_be_replayed_cost_no_posterior(bags: Pa
     assert "posterior" in [kind for kind, _ in events]
 
 
+def test_no_error_is_judged_on_rollouts_that_the_versions_fits_have_seen(bags: Path, tmp_path: Path) -> None:
+    store, base = ModelStore(tmp_path / "store"), base_model("servo_bench")
+    everything = [f"steps_0_{i}" for i in range(6)]
+    given = base.with_particles(base.particles, base.log_weights, kind="diagnosis", rollouts=everything)
+    events: list[tuple[str, dict]] = []
+    emit = lambda event, **content: events.append((event, content))  # noqa: E731
+    run_inference(job(bags, tmp_path, model=store.save(given).version, generations=1), emit)
+    told = [content["message"] for kind, content in events if kind == "warning"]
+    assert any("no error is judged on steps_0_4, steps_0_5" in m for m in told), told
+    assert "posterior" in [kind for kind, _ in events] and "model_error" not in [kind for kind, _ in events]
+
+
 def test_a_job_uses_as_many_threads_as_it_is_given(bags: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     threads: list[int] = []
 

@@ -81,6 +81,15 @@ def test_tempering_keeps_the_effective_sample_size() -> None:
     assert temper(energy, base, 1e-6, 40.0) == 1e-6
 
 
+def test_tempering_finds_the_largest_value_where_the_sample_size_rises_before_it_falls() -> None:
+    """One particle has most of the prior's weight: only where its energy has taken that away do many count."""
+    energy, base = np.append(np.linspace(0, 100, 200), 10.0), np.append(np.zeros(200), 5.0)
+    alpha = temper(energy, base, 10.0, 7.5)
+    assert effective_sample_size(normalised(base - alpha * energy)) == pytest.approx(7.5)
+    assert effective_sample_size(normalised(base - 1.05 * alpha * energy)) < 7.5
+    assert temper(energy, base, 0.0, 7.5) == temper(energy, base, 10.0, 1000.0) == 0.0
+
+
 @pytest.mark.parametrize("prior_share", [0.0, 0.1, 0.25, 1.0])
 @pytest.mark.parametrize("normal", [True, False])
 def test_every_number_of_particles_is_drawn_in_whole_parts(normal: bool, prior_share: float) -> None:

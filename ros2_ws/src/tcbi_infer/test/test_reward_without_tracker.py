@@ -7,7 +7,7 @@ import pytest
 
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import library, reward
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import LEAST_SAMPLES, Problem
 from tcbi_policy.gaits import Gait
 from tcbi_policy.reward import Term, episode_reward, terms_of
 from tcbi_sim.engine import simulate
@@ -20,10 +20,10 @@ REWARD = {"statistics": ("reward",), "timestep": 0.01}
 
 @pytest.fixture(scope="module")
 def tracked() -> list[Measurement]:
-    """Two walks on different slopes, facing different ways."""
-    scenarios = [Scenario("forward", 2.0, slope_pitch=0.1 * k, initial_yaw=0.7 + k) for k in range(2)]
+    """Walks on different slopes, facing different ways: one more than a channel needs."""
+    scenarios = [Scenario("forward", 2.0, slope_pitch=0.05 * k, initial_yaw=0.7 + k) for k in range(LEAST_SAMPLES + 1)]
     out = simulate(MODEL, MODEL.mean()[None], scenarios, controller=Gait("tripod"), timestep=0.01)
-    return [out.measurement(0, s, f"walk{s}", "gait:tripod") for s in range(2)]
+    return [out.measurement(0, s, f"walk{s}", "gait:tripod") for s in range(len(scenarios))]
 
 
 def untracked(tracked: list[Measurement], *distances: float) -> list[Measurement]:
@@ -46,21 +46,21 @@ def test_the_reward_statistic_of_walking_needs_no_tracker(tracked: list[Measurem
 def test_one_distance_forgotten_costs_that_rollout_alone_and_all_forgotten_are_named(
     tracked: list[Measurement],
 ) -> None:
-    problem = Problem.of(MODEL, untracked(tracked, np.nan, 0.1), **REWARD)
-    assert len(problem.real_samples[0]) == 1
+    problem = Problem.of(MODEL, untracked(tracked, np.nan, *[0.1] * LEAST_SAMPLES), **REWARD)
+    assert len(problem.real_samples[0]) == LEAST_SAMPLES
     (rollouts,), _ = problem.rollouts(MODEL.to_unit(MODEL.mean()[None]))
-    assert np.isfinite(library()["reward"].compute(rollouts)).sum() == 1
+    assert np.isfinite(library()["reward"].compute(rollouts)).sum() == LEAST_SAMPLES
     with pytest.raises(InferError, match="neither a position nor a distance at the end"):
-        Problem.of(MODEL, untracked(tracked, np.nan, np.nan), **REWARD)
+        Problem.of(MODEL, untracked(tracked, *[np.nan] * len(tracked)), **REWARD)
 
 
 def test_a_distance_counts_only_for_the_motion_that_made_it(tracked: list[Measurement]) -> None:
     """A rollout that is cut to the length of another has come another distance by then."""
-    first, second = untracked(tracked)
-    shorter = dataclasses.replace(second, scenario=dataclasses.replace(second.scenario, duration=1.76))
-    problem = Problem.of(MODEL, [first, shorter], **REWARD)
+    *others, last = untracked(tracked)
+    shorter = dataclasses.replace(last, scenario=dataclasses.replace(last.scenario, duration=1.76))
+    problem = Problem.of(MODEL, [*others, shorter], statistics=("reward", "attitude"), timestep=0.01)
     assert len(problem.groups) == 1
-    assert np.isnan(problem.groups[0].arrays.distance).tolist() == [[True, False]]
+    assert np.isnan(problem.groups[0].arrays.distance).tolist() == [[True] * len(others) + [False]]
 
 
 def test_a_reward_of_ones_own_that_is_made_of_a_position_says_that_it_lacks_one(

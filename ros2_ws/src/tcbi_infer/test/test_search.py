@@ -1,5 +1,6 @@
 """Which candidates are fitted, from which starts and how far; simulations are counted, none is run."""
 
+import dataclasses
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,7 @@ import pytest
 from tcbi_infer.diagnose import base_fit, search
 from tcbi_infer.diagnose.base_fit import better_base
 from tcbi_infer.diagnose.search import Search
-from tcbi_infer.diagnose.settings import Settings
+from tcbi_infer.diagnose.settings import QUICK, Settings
 
 BASE_LOSS = 1000.0
 BASE = np.array([0.5, 0.5])
@@ -71,12 +72,13 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(search, "start_points", starts)
         monkeypatch.setattr(search, "refined", fine)
         screen = SimpleNamespace(
+            sizes=np.ones(5, int),
             directions=SimpleNamespace(uses=tuple(losses), models=tuple(losses)),
             sized=lambda data, use, sizes, count: np.array(sizes)[:, None],
         )
         base = SimpleNamespace(unit=BASE, model="base")
         nuisance = SimpleNamespace(effect=np.zeros((1, 1, 1, 1)), names=("lf_coxa",))
-        gains, quiet = np.ones((1, len(losses))), lambda stage, share: None
+        gains, quiet = np.ones((5, len(losses))), lambda stage, share: None
         settings: Any = Settings()
         sets: Any = np.array([0])
         problem: Any = None
@@ -163,3 +165,21 @@ def test_a_valley_far_off_is_shown_to_the_base_model_though_a_nearer_start_loses
 def test_the_base_model_is_not_fitted_again_from_where_it_is(monkeypatch, starts):
     assert base_again(monkeypatch, *starts) is None
     assert TwoValleys.used == 0
+
+
+def test_one_kind_of_motion_that_went_otherwise_costs_no_effect_its_fit(made):
+    looked, _ = made({"right": 100.0, "little": 700.0})
+    gains = np.array([[-52.0, -0.4, 15.9, 5.6, 12.9], [2.0, 1.0, 2.0, 1.0, 2.0]]).T
+    looked = dataclasses.replace(looked, gains=gains, settings=QUICK)
+    assert looked.best_by_screening() == [0]
+
+
+@pytest.mark.parametrize(("loss", "better"), [(60.0, [0]), (100.0, [])])
+def test_a_quick_search_looks_for_another_valley_only_when_asked_to(made, monkeypatch, loss, better):
+    looked, _ = made({"best": 100.0, "elsewhere": 60.0})
+    looked = dataclasses.replace(looked, settings=QUICK)
+    fit = SimpleNamespace(**vars(fitted(100.0)), model="best")
+    fits = {0: (fit, fit)}
+    monkeypatch.setattr(Fake, "escape", lambda self, fit, *_: fitted(loss) if loss < fit.total else fit)
+    assert list(looked.elsewhere(fits)) == better
+    assert dataclasses.replace(looked, settings=Settings()).elsewhere(fits) == {}, "it has looked there already"

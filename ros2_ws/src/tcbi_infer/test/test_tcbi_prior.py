@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from tcbi_cases import bench_rollouts
 
 from tcbi_infer import posterior
 from tcbi_infer.errors import InferError
@@ -105,6 +106,15 @@ def test_a_version_that_is_one_point_is_refused_as_a_prior():
     model = narrow()
     with pytest.raises(InferError, match="bayesopt made it"):
         Problem.of(made_by("bayesopt", model.with_particles(model.particles[:1])), rollouts(), prior=MODEL)
+
+
+def test_what_excludes_the_data_is_the_versions_prior_and_the_parameter_and_value_are_named():
+    _, measured = bench_rollouts((0.65, 0.4, 0.6))  # narrow() expects a gain of 0.5 +- 0.02
+    result = infer(Problem.of(narrow(), measured, prior=MODEL, timestep=0.01), particles=20, generations=4)
+    (line,) = [line for line in result.warnings if "seems to exclude the data" in line]
+    assert line.startswith("the prior of gain") and "where the prior expects" in line and result.fits is False
+    best = np.array(result.generations[-1]["best"])
+    assert np.all((best[:, 0] > 0.53) & (best[:, 0] < 0.6)), "in the parameters' unit cube"
 
 
 def test_an_unknown_prior_is_refused_by_name():

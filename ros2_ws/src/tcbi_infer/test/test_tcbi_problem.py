@@ -5,6 +5,7 @@ import json
 import math
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from tcbi_infer.statistics import Statistic
 from tcbi_infer.tcbi import checkpoint
 from tcbi_infer.tcbi.driver import BOUNDS, Interrupted, Progress, infer, run_name, settings_of
 from tcbi_infer.tcbi.method import METHODS
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import LEAST_SAMPLES, Problem
 from tcbi_infer.tcbi.result import Result
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.store import ModelStore
@@ -178,14 +179,25 @@ def test_a_prior_that_excludes_the_data_is_named(bench) -> None:
     assert not found.fits and not any(e.identified for e in found.estimates)
 
 
-def test_statistics_without_a_finite_sample_are_named(bench, monkeypatch) -> None:
-    silent = Statistic("silent", "1", "never known", (), lambda a: ("x",), lambda a: np.full((*a.count, 1, 9), np.nan))
-    known = {**statistics.library(), "silent": silent}
+def test_channels_with_too_few_samples_to_tell_anything_are_named_and_left_out(bench, monkeypatch) -> None:
+    def sparse(known: int) -> Statistic:
+        """One sample in each of so many rollouts."""
+
+        def compute(arrays: Any) -> np.ndarray:
+            values = np.full((*arrays.count, 1, 9), np.nan)
+            values[:, :known, 0, 0] = arrays.joint_position[:, :known, -1, 0]
+            return values
+
+        return Statistic(f"last_of_{known}", "rad", "the last position", (), lambda a: ("x",), compute)
+
+    few, enough = sparse(LEAST_SAMPLES - 1), sparse(LEAST_SAMPLES)
+    known = {**statistics.library(), few.name: few, enough.name: enough}
     monkeypatch.setattr(statistics, "library", lambda: known)
-    with pytest.raises(InferError, match=r"no statistic has a finite sample .*tried: silent"):
-        Problem.of(*bench, statistics=("silent",), timestep=0.01)
-    problem = Problem.of(*bench, statistics=("joint_tracking", "silent"), timestep=0.01)
-    assert "without samples, left out: silent/x" in problem.warnings
+    with pytest.raises(InferError, match=rf"no statistic has {LEAST_SAMPLES} finite samples .*tried: {few.name}"):
+        Problem.of(*bench, statistics=(few.name,), timestep=0.01)
+    problem = Problem.of(*bench, statistics=("joint_tracking", few.name, enough.name), timestep=0.01)
+    assert f"with fewer than {LEAST_SAMPLES} samples, left out: {few.name}/x" in problem.warnings
+    assert f"{enough.name}/x" in problem.observed.channels
 
 
 def test_unknown_names_are_refused(problem: Problem, bench) -> None:

@@ -39,6 +39,35 @@ def test_a_posterior_at_a_bound_that_fits_poorly_says_that_the_prior_seems_to_ex
     assert piled((MASS, GAP), AT_BOUND, EQUAL, last(2.0)) == []
 
 
+INSIDE = np.full((40, 2), 0.5)
+
+
+def best_at(gap: float, mass: float, prior: tuple[float, float]) -> list[str]:
+    """What is said of a poor fit whose best particles lie there, both priors 0.01 wide about `prior`; all in [0, 1]."""
+    draws = np.clip(np.random.default_rng(0).normal(prior, 0.01, (4000, 2)), 0, 1)
+    poor = last(2.0)
+    poor.notes["best"] = [[gap, mass]] * 5
+    return misfits((GAP, MASS), INSIDE, EQUAL, ["x"], poor, last(2.1), draws)[0]
+
+
+def test_a_versions_prior_excludes_the_data_where_the_best_lie_beyond_what_it_expects() -> None:
+    assert best_at(0.3, 0.4, prior=(0.31, 0.41)) == []
+    (line,) = best_at(0.3, 0.4, prior=(0.3, 0.6))
+    assert line.startswith("the prior of mass seems to exclude the data: what fits best has 0.9 kg, where the prior")
+    assert line.endswith("expects 1.08 to 1.12 kg (90%), and fits poorly; take the flat prior, or an effect is missing")
+
+
+def test_a_versions_prior_that_knows_an_effect_excludes_its_absence_and_one_that_reaches_to_it_does_not() -> None:
+    (line,) = best_at(0.001, 0.5, prior=(0.3, 0.5))
+    assert line.startswith("the prior of gap seems to exclude the data: what fits best has 0.0001 rad, where the prior")
+    assert best_at(0.001, 0.5, prior=(0.04, 0.5)) == []
+
+
+def test_where_a_versions_prior_reaches_an_end_the_range_may_still_exclude_the_data() -> None:
+    (line,) = best_at(0.5, 0.99, prior=(0.5, 0.98))
+    assert line.startswith("the prior of mass seems to exclude the data: what fits best lies at its high end, 1.5 kg")
+
+
 def test_an_effect_that_is_absent_is_told_so_and_no_wider_prior_is_asked_for() -> None:
     assert misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1)) == ([], True)
     assert "where the effect is absent" in piled((GAP, MASS), AT_BOUND, EQUAL, last(2.0))[0]

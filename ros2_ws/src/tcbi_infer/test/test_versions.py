@@ -11,7 +11,7 @@ from tcbi_infer.compare.history import history
 from tcbi_infer.compare.ladder import was_seen
 from tcbi_infer.compare.versions import compare_versions, linked_parameters, marginal_evidence
 from tcbi_infer.errors import InferError
-from tcbi_infer.report import Report, add_difference
+from tcbi_infer.report import Report, add_difference, add_kept_ladder, add_version
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model, base_model
@@ -83,6 +83,29 @@ def test_the_report_of_a_difference_shows_both_versions():
     add_difference(report, compare_versions(model((2e-3, 4e-3)), model((8e-3, 9e-3), version="servo_bench-v2")))
     for words in ("servo_bench-v1", "servo_bench-v2", "do not overlap", "error over noise floor", "<svg"):
         assert words in report.html()
+
+
+def test_the_way_to_a_version_is_shown_as_far_as_its_errors_are_known():
+    first, base = model((2e-3, 4e-3)), base_model("servo_bench")
+    second = dataclasses.replace(first, version="servo_bench-v2", parent=first.version)
+    second = dataclasses.replace(second, evidence={**first.evidence, "nothing_held_out": True})
+    report = Report("the way")
+    add_kept_ladder(report, second, [base, first, second])
+    assert "The way to servo_bench-v2" in report.html() and f"servo_bench-v1 ({KEY})" in report.html()
+    assert f"servo_bench-v2 ({KEY})" not in report.html(), "an error on the fit's own motion is no rung"
+    third = dataclasses.replace(second, version="servo_bench-v3", parent=second.version)
+    third = dataclasses.replace(third, evidence={"errors": {"unfitted": 4.0}, "sealed": ["new"]})
+    errors = {v.model: v.error_over_floor for v in history([base, first, second, third])}
+    assert errors["servo_bench-v2"] == 4.0, "measured by the next diagnosis, on motions that it had not seen"
+    nothing = Report("nothing")
+    add_kept_ladder(nothing, base, [base])
+    assert nothing.sections == []
+
+
+def test_an_effect_added_by_its_prior_is_drawn():
+    base, report = base_model("servo_bench"), Report("a prior")
+    add_version(report, base, dataclasses.replace(base.with_effect("backlash"), version="servo_bench-v1"))
+    assert "<svg" in report.html() and "backlash.gap" in report.html()
 
 
 def recorded(*names: str) -> list[Measurement]:

@@ -1,7 +1,8 @@
 """Neural posterior estimation as in BayesSim (Ramos et al. 2019): a mixture density network on summaries of rollouts.
 
 All particles come from the prior; the network learns parameters given a summary (`trajectory`), and the posterior is
-what it says of the recorded rollouts' summary. Trained anew after each generation, from the same start.
+what it says of the recorded rollouts' summary. It is trained once, after the last generation; what is drawn before that
+is the prior.
 """
 
 from collections.abc import Callable
@@ -9,11 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tcbi_contract.errors import describe
 from tcbi_infer.baselines.budget import Searched, begin, extended
 from tcbi_infer.baselines.trajectory import Trajectories
+from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.proposal import draw, from_probit, prior_proposal
 
 DRAWS = 1000
+LEAST_USABLE = 5  # simulations to train on: one leaves no input that varies, and none to stop by
 
 
 class NpeSettings(NamedTuple):
@@ -31,7 +35,7 @@ class NpeState(NamedTuple):
     generation: int
     searched: Searched
     real: np.ndarray  # (K,) the recorded rollouts' summary
-    draws: np.ndarray  # (N, P) probit space
+    draws: np.ndarray  # (N, P) probit space, of the prior until the network is trained
     converged: bool
 
 
@@ -46,22 +50,44 @@ def step(
     simulate: Callable[[np.ndarray], Trajectories],
     settings: NpeSettings,
 ) -> NpeState:
-    """More draws of the prior, then train and ask."""
+    """More draws of the prior; after the last ones train and ask.
+
+    Raises:
+      InferError: every simulation diverged, or too few are left to train on.
+    """
+    dimensions = state.searched.z.shape[1]
+    z = draw(rng, prior_proposal(settings.particles, dimensions))
+    searched = extended(state.searched, z, simulate(from_probit(z)))
+    if searched.generation < settings.generations:
+        draws = draw(rng, prior_proposal(DRAWS, dimensions))
+    else:
+        draws = _learnt(rng, searched, state.real, settings)
+    return NpeState(searched.generation, searched, state.real, draws, False)
+
+
+def _learnt(rng: np.random.Generator, searched: Searched, real: np.ndarray, settings: NpeSettings) -> np.ndarray:
+    """(DRAWS, P) of what a network says that was trained on everything simulated."""
     from tcbi_infer.baselines.mixture_network import posterior_draws  # torch takes a second to import
 
-    z = draw(rng, prior_proposal(settings.particles, state.searched.z.shape[1]))
-    searched = extended(state.searched, z, simulate(from_probit(z)))
     usable = searched.seen.valid & np.isfinite(searched.seen.summary).all(axis=1)
-    draws = posterior_draws(
+    if usable.sum() < LEAST_USABLE:
+        raise InferError(
+            describe(
+                f"simulations of {len(usable)} that the network can be trained on",
+                int(usable.sum()),
+                f"{LEAST_USABLE} or more",
+                "the others diverged: narrow the parameters' bounds, lower the time step, or simulate more particles",
+            )
+        )
+    return posterior_draws(
         searched.seen.summary[usable],
         searched.z[usable],
-        state.real,
+        real,
         DRAWS,
         components=settings.components,
         hidden=settings.hidden,
         seed=int(rng.integers(2**31)),
     )
-    return NpeState(state.generation + 1, searched, state.real, draws, False)
 
 
 def posterior(state: NpeState) -> tuple[np.ndarray, np.ndarray]:

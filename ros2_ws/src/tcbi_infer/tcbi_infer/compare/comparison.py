@@ -10,7 +10,7 @@ from tcbi_infer.compare import task
 from tcbi_infer.compare.common_lag import common_lag
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.findings import Finding, Moment
-from tcbi_infer.compare.guards import guard, unchecked
+from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, unchecked
 from tcbi_infer.compare.locate import locate
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
@@ -25,7 +25,6 @@ __all__ = ["Comparison", "SignalError", "compare", "error_figure", "error_over_f
 PARTICLES = 16  # simulated for the predictive bands
 MOST_PARTICLES = 256
 MEMORY = 256 * 2**20  # bytes of predicted channels held at a time
-IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than this changes nothing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,17 +194,26 @@ def _idle_parameters(model: Model, replay: Replay, mean: np.ndarray, floor: np.n
     idle, sets = list(range(len(mean))), _all(replay)
     for part in (sets[:3], sets[3:]):  # the first motions clear most parameters
         if part and idle:
-            idle = _without_change(model, replay, mean, floor, idle, part)
-    return [f"The model's parameter {model.names[p]} changes nothing in these rollouts." for p in idle]
+            idle = without_change(model, replay, mean, floor, idle, part)
+    return [idle_parameter(model.names[p]) for p in idle]
 
 
-def _without_change(
-    model: Model, replay: Replay, mean: np.ndarray, floor: np.ndarray, among: Sequence[int], sets: Sequence[int]
+def without_change(
+    model: Model, replay: Replay, parameters: np.ndarray, floor: np.ndarray, among: Sequence[int], sets: Sequence[int]
 ) -> list[int]:
-    """Which parameters leave some motions as they are when they go from 20 to 80 % of their range."""
-    vectors = np.repeat(mean[None], 2 * len(among), axis=0)
+    """Which parameters leave some motions as they are when they go over most of their range.
+
+    Args:
+      model: to simulate.
+      replay: the rollouts.
+      parameters: (P,) physical values of all others.
+      floor: (C,) noise floor of the channels.
+      among: parameters to look at, of P.
+      sets: replicate sets to look at.
+    """
+    vectors = np.repeat(parameters[None], 2 * len(among), axis=0)
     for k, p in enumerate(among):
-        vectors[2 * k, p], vectors[2 * k + 1, p] = (model.parameters[p].from_unit(u) for u in (0.2, 0.8))
+        vectors[2 * k, p], vectors[2 * k + 1, p] = (model.parameters[p].from_unit(u) for u in IDLE_SPAN)
     moved = np.zeros(len(among))
     for s in sets:
         predicted = replay.predict(model, vectors, [s], timestep=0.005)[:, 0]

@@ -25,7 +25,14 @@ HELD = 0.4  # share of repeated samples in motion that is no chance
 SIGNALS = ("attitude", "angular_velocity", "linear_acceleration", "contact", "position")  # that may be missing
 CUT = 0.3  # s by which a recording ends before its repeat, which no jitter of the end explains
 ALONE = ": the repeat counts alone there"
+IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than this changes nothing
+IDLE_SPAN = (0.2, 0.8)  # of its range
 STEPS = 5.0  # encoder steps between two samples in which a value must change
+
+
+def idle_parameter(name: str) -> str:
+    """The finding that nothing recorded depends on a parameter of the model."""
+    return f"The model's parameter {name} changes nothing in these rollouts."
 
 
 def guard(measurements: Sequence[Measurement]) -> list[str]:

@@ -79,6 +79,11 @@ def remember(lines: Sequence[VersionError], folder: Path, rig: str, not_counted:
     return path
 
 
+def unseen_error(model: Model) -> float | None:
+    """The error that the diagnosis which made a version kept, unless it is that of the very motions of the fit."""
+    return None if model.evidence.get("nothing_held_out") else model.evidence.get("error_over_floor")
+
+
 def common_floor(models: Sequence[Model], replay: Replay) -> NoiseFloor:
     """One for several versions: from repeats, else from the residual of the first one that predicts every rollout."""
     residual = replay.measured
@@ -91,8 +96,8 @@ def common_floor(models: Sequence[Model], replay: Replay) -> NoiseFloor:
 
 
 def _kept(model: Model, models: Sequence[Model]) -> float | None:
-    if "error_over_floor" in model.evidence:
-        return model.evidence["error_over_floor"]
+    if (own := unseen_error(model)) is not None:
+        return own
     for child in models:
         evidence = child.evidence
         if child.parent == model.version and "unfitted" in evidence.get("errors", {}):

@@ -66,7 +66,8 @@ def noise_floor(
     squares, freedom = np.zeros(measured.shape[-1]), np.zeros(measured.shape[-1])
     kept, repeated = layout.kept(measured.shape[1]), 0
     for group in replicates:
-        square, free = scatter(np.where(kept, distinct(measured[list(group.members)]), np.nan))
+        recordings = measured[list(group.members)]
+        square, free = scatter(np.where(kept, recordings[originals(recordings)], np.nan))
         squares += square.sum(axis=0)
         freedom += free.sum(axis=0)
         repeated += bool(free.any())
@@ -96,13 +97,13 @@ def scatter(repeats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (apart**2).sum(axis=0), np.maximum(there.sum(axis=0) - 1, 0)
 
 
-def distinct(values: np.ndarray) -> np.ndarray:
-    """Of (R, ...) recordings those that are no copy, to the last bit, of one before: a simulation repeats itself."""
+def originals(values: np.ndarray) -> list[int]:
+    """Which of (R, ...) recordings are no copy, to the last bit, of one before: a simulation repeats itself."""
     kept: list[int] = []
     for r in range(len(values)):
         if not any(np.array_equal(values[r], values[k], equal_nan=True) for k in kept):
             kept.append(r)
-    return values[kept]
+    return kept
 
 
 def from_fast_changes(residual: np.ndarray, readings: np.ndarray | None = None, window: int = 1) -> np.ndarray:

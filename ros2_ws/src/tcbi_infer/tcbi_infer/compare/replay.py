@@ -9,7 +9,7 @@ import numpy as np
 from tcbi_infer.compare.clocks import aligned
 from tcbi_infer.compare.errors import NothingToCompareError, WrongJointsError, WrongRigError
 from tcbi_infer.compare.lengths import extended, side_by_side
-from tcbi_infer.compare.noise import NoiseFloor, mean_of, noise_floor
+from tcbi_infer.compare.noise import NoiseFloor, mean_of, noise_floor, originals
 from tcbi_infer.compare.replicates import Replicates, find_replicates
 from tcbi_infer.compare.signals import Layout
 from tcbi_infer.gaps import unusable
@@ -162,13 +162,19 @@ class Replay:
         """The floor from these rollouts' repeats, else from their residual (R, T, C)."""
         return noise_floor(self.layout, self.measured, residual, self.replicates, self.readings)
 
+    @cached_property
+    def repeats(self) -> tuple[tuple[int, ...], ...]:
+        """Members of each set of replicates that are no copy of another one: only they are repeats."""
+        members = [np.array(g.members) for g in self.replicates]
+        return tuple(tuple(own[originals(self.measured[own])].tolist()) for own in members)
+
     def means(self) -> np.ndarray:
         """(S, T, C) mean over the replicates of each set, of those that measured; NaN where none did."""
-        return np.stack([mean_of(self.measured[list(g.members)]) for g in self.replicates])
+        return np.stack([mean_of(self.measured[list(own)]) for own in self.repeats])
 
     def counts(self) -> np.ndarray:
         """(S, T, C) how many replicates of each set measured each sample."""
-        return np.stack([np.isfinite(self.measured[list(g.members)]).sum(axis=0) for g in self.replicates])
+        return np.stack([np.isfinite(self.measured[list(own)]).sum(axis=0) for own in self.repeats])
 
 
 def _readings(own: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:

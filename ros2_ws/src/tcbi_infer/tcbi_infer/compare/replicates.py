@@ -19,7 +19,7 @@ SAME_TORQUE = 0.01  # of the torques' spread: motors differ far in what they can
 SAME_SPEED = 0.05  # rad/s; a start in motion is measured no better
 SAME_TIME = 0.1  # s, jitter of a live command stream; half a control period
 SAME_SHAPE = 0.1  # of a motion's spread
-MIN_KINDS = 5  # fewer kinds than this give no 5 % claim
+MIN_KINDS = 5  # of fewer kinds no false-alarm rate is told
 SCRIPTED = "gait:"  # begins the name of a policy that is known to act without feedback
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.compare.noise import from_fast_changes, scatter
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.compare.replicates import Replicates
 from tcbi_infer.gaps import unusable
 from tcbi_policy.errors import RewardError
 from tcbi_policy.reward import inclination, progress, step_rewards
@@ -168,7 +167,7 @@ def floors(replay: Replay, observed: Values, mean: Values) -> dict[str, TaskFloo
         name: _floor(
             values,
             values - mean[name],
-            replay.replicates,
+            replay.repeats,
             LEAST.get(name, LEAST_SHARE),
             replay.readings if name == DISTANCE else None,
         )
@@ -180,19 +179,20 @@ def floors(replay: Replay, observed: Values, mean: Values) -> dict[str, TaskFloo
 def _floor(
     values: np.ndarray,
     residual: np.ndarray,
-    replicates: Sequence[Replicates],
+    repeats: Sequence[Sequence[int]],
     least: float,
     readings: np.ndarray | None,
 ) -> TaskFloor:
     squares, freedom = 0.0, 0
-    for group in replicates:
-        square, free = scatter(values[list(group.members)])
+    for members in repeats:
+        square, free = scatter(values[list(members)])
         squares, freedom = squares + float(square.sum()), freedom + int(free.sum())
     if freedom:
         return TaskFloor(max(float(np.sqrt(squares / freedom)), least), True)
     if values.shape[-1] > 1:
         return TaskFloor(max(float(from_fast_changes(residual[..., None], readings)[0]), least), False)
-    single = residual[np.isfinite(residual)]
+    distinct = residual[sorted(r for members in repeats for r in members)]
+    single = distinct[np.isfinite(distinct)]
     if len(single) < FEWEST_ROLLOUTS:
         return TaskFloor(float("nan"), False)
     return TaskFloor(max(float(np.std(single, ddof=1)), least), False)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tcbi_infer.compare.history import unseen_error
 from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_sim.model import Model
@@ -173,7 +174,7 @@ def _grounds(model: Model) -> Grounds:
     statement = e.get("statement", "")
     if inference:
         statement = f"{inference['method']}, effective sample size {inference['ess']:.0f}"
-    return Grounds(kind, statement, e.get("accepted"), tuple(sorted(used_before(model))), e.get("error_over_floor"))
+    return Grounds(kind, statement, e.get("accepted"), tuple(sorted(used_before(model))), unseen_error(model))
 
 
 def _statement(

@@ -263,7 +263,7 @@ class _Use:
     def _distance(self, ks: np.ndarray, multiples: np.ndarray) -> np.ndarray:
         """(G,) how far the interval stays from the null value, 1 where it just leaves it out."""
         known = self.profiled[ks] * np.median(self.scale) ** 2 / self.background.shared
-        quantile = float(stdtrit(max(self.background.null.kinds - 1, 2), 0.95))
+        quantile = float(stdtrit(max(self.background.null.kinds - 1, 1), 0.95))
         hidden = imitated(self.screen.independent, self.background.error) / self.background.shared
         needed = (np.sqrt(quantile**2 + hidden) + ndtri(POWER)) / np.sqrt(known)
         return np.abs(multiples) / needed

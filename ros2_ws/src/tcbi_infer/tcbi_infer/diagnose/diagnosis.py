@@ -12,8 +12,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from tcbi_infer.compare.common_lag import LATENCIES, common_lag, without_latency
+from tcbi_infer.compare.comparison import without_change
 from tcbi_infer.compare.errors import CompareError
-from tcbi_infer.compare.guards import guard
+from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
@@ -183,11 +184,12 @@ class _Run:
         fits |= search.fit(search.rivals(fits), (0.7, 0.75), fits)
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
         error = judge.held_out_error(before)
-        least = min([error, *(judge.held_out_error(e) for e in after.values())])
-        if least > WELL_PREDICTED and error - least < MOSTLY * (error - 1.0):
-            further = search.fit(search.hidden(fits), (0.8, 0.85), fits)
-            fits |= further
-            after |= {u: judge.judge(fine) for u, (_, fine) in further.items()}
+        for look in (search.elsewhere, lambda fits: search.fit(search.hidden(fits), (0.8, 0.85), fits)):
+            least = min([error, *(judge.held_out_error(e) for e in after.values())])
+            if least > WELL_PREDICTED and error - least < MOSTLY * (error - 1.0):
+                further = look(fits)
+                fits |= further
+                after |= {u: judge.judge(fine) for u, (_, fine) in further.items()}
         return _Found(coarse, base, judge, before, directions, search, fits, after)
 
     def _rule(self, found: "_Found", nuisance: Nuisance) -> Diagnosis:
@@ -271,7 +273,7 @@ class _Run:
             errors=errors,
             floor_from_replicates=self.floor.from_replicates,
             untestable=directions.untestable,
-            guards=(*self.lost, *self._guards(before, after)),
+            guards=(*self.lost, *self._guards(before, after), *_idle(self.problem, before.fit)),
             claims=tuple(
                 claims(kinds, len(sealed), null, self.floor, self.settings)
                 + left_out(left, self.uses)
@@ -331,6 +333,20 @@ class _Run:
             truth = excitation.planted(before.fit, use, size)
             found += excitation.motions_that_show(self.problem, use, before.fit, truth, motions, timestep)
         return found
+
+
+def _idle(problem: Problem, fit: Fit) -> list[str]:
+    """Findings of parameters of the base model that change nothing over most of their ranges.
+
+    Only those without a slope are simulated: some act beyond a threshold that the fit lies below.
+    """
+    if not fit.total < np.inf:
+        return []
+    change = (IDLE_SPAN[1] - IDLE_SPAN[0]) * fit.jacobian / problem.floor[:, None]
+    flat = np.flatnonzero(np.sqrt((change**2).mean(axis=1)).max(axis=(0, 1)) < IDLE).tolist()
+    every = range(len(problem.replay.replicates))
+    idle = without_change(fit.model, problem.replay, fit.parameters, problem.floor, flat, every) if flat else []
+    return [idle_parameter(fit.model.names[p]) for p in idle]
 
 
 def _only_forward(progress: Progress) -> Progress:

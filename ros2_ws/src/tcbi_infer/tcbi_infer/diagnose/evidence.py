@@ -11,7 +11,7 @@ from tcbi_contract.wording import with_unit
 
 EFFECT, CANNOT_TELL = "effect", "cannot_tell"
 NOTHING_MISSING, OUTSIDE_LIBRARY = "nothing_missing", "outside_library"
-WELL_PREDICTED = 3.0  # times the noise floor; of 20 emulated robots with nothing hidden three left more
+WELL_PREDICTED = 3.0  # times the noise floor; of 20 emulated robots with nothing hidden one left more
 HEADLINES = {
     EFFECT: "An effect is missing",
     CANNOT_TELL: "An effect is missing, but which one cannot be told",
@@ -290,7 +290,8 @@ class Diagnosis:
       claims: caveats in sentences: how the data were split, what no claim is made about.
       false_alarms: how often the search alone raises one, as simulated for this robot and these rollouts.
       detectable: the smallest size of each effect that these rollouts could have shown, or why none.
-      next_motions: what to record where the rollouts cannot tell, or to show an effect that was asked for; best first.
+      next_motions: what to record where the rollouts cannot tell, or to show an effect that was asked for; best
+        first of each pair that they tell apart.
       leftover: what the error of the model that the verdict rests on goes with.
       agreement: use ("" the base model) -> whether the kinds of motion agree on each parameter of the fitted model.
     """

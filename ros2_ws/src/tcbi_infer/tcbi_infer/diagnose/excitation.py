@@ -20,6 +20,7 @@ from tcbi_infer.diagnose.problem import Problem
 STEP = 0.05  # of a range, of the finite differences
 FARTHEST = 0.25  # of a range, that a refit may go
 AT_REST_S = 0.5  # s at the beginning that do not count: they tell how the rig was at rest, not how it moves
+MOST_RIVALS = 3  # of the best use, for each of which a motion is sought
 TELLING = 10.0  # nats: less may come from how the two fits differ by chance, and is no reason to record a motion
 
 
@@ -59,7 +60,7 @@ def between(
     motions: Sequence[Motion],
     timestep: float,
 ) -> tuple[NextMotion, ...]:
-    """Motions that tell the two best of the uses apart, or a single one from the base model.
+    """Motions that tell the best of the uses from each other one, or a single one from the base model.
 
     Args:
       problem: the rollouts at hand.
@@ -72,8 +73,10 @@ def between(
     fitted = [use for use in uses if use in fits] or list(fits)
     if not fitted or not motions:
         return ()
-    first, second = fitted[0], fitted[1] if len(uses) > 1 and len(fitted) > 1 else ""
-    return next_motions(problem, (first, second), (fits[first], fits.get(second, base)), motions, timestep)
+    first, *others = fitted[: MOST_RIVALS + 1]
+    pairs = [(first, other) for other in others] if len(uses) > 1 and others else [(first, "")]
+    found = [next_motions(problem, p, (fits[p[0]], fits.get(p[1], base)), motions, timestep) for p in pairs]
+    return tuple(motion for each in found for motion in each)
 
 
 def planted(base: Fit, use: str, size: DetectableSize | None) -> Fit:

@@ -5,15 +5,21 @@ from scipy.special import betaincinv
 
 from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose.evidence import FalseAlarms
-from tcbi_infer.diagnose.null import Null, threshold_of
+from tcbi_infer.diagnose.null import LEVEL, Null, level, threshold_of
+
+_FEW = (
+    " With {kinds} kinds of motion the threshold aims at {level}: what all of them share by chance cannot be held off "
+    "at 5 %, and one kind more brings it there."
+)
 
 
 def false_alarms(null: Null) -> FalseAlarms:
     """The share of data sets with nothing missing in which the search passes the threshold, with a 90 % interval.
 
-    Each data set is held against a threshold that the other half of them sets: against their own, one in twenty passes
-    whatever they are. The interval is Clopper and Pearson's: a handful of exceedances among some hundred data sets is
-    not sharply known. Nothing is claimed with fewer than five kinds of motion, whose spread is known too badly.
+    Each data set is held against a threshold that the other half of them sets: against their own, as many pass as its
+    level says, whatever they are. The interval is Clopper and Pearson's: a handful of exceedances among some hundred
+    data sets is not sharply known. Nothing is claimed with fewer than five kinds of motion, whose spread is known too
+    badly.
     """
     count = len(null.maxima)
     if not count:
@@ -31,7 +37,8 @@ def false_alarms(null: Null) -> FalseAlarms:
         f"{_percent(rate)} (90 % interval "
         f"{_percent(low)} to {_percent(high)}). What else is required of an effect can only lower how often one is "
         "named; what these simulations do not hold may raise it. That something may be missing, or is not in the "
-        "library, rests on limits of the error, whose false alarms this does not count.",
+        "library, rests on limits of the error, whose false alarms this does not count."
+        + (_FEW.format(kinds=null.kinds, level=_percent(1 - level(null.kinds))) if level(null.kinds) < LEVEL else ""),
         count,
         rate,
         low,
@@ -40,9 +47,11 @@ def false_alarms(null: Null) -> FalseAlarms:
 
 
 def _passed(null: Null) -> int:
-    halves = null.maxima[::2], null.maxima[1::2]
+    halves = slice(None, None, 2), slice(1, None, 2)
     return sum(
-        int(np.sum(own > threshold_of(other, null.kinds))) for own, other in (halves, halves[::-1]) if len(other)
+        int(np.sum(null.maxima[own] > threshold_of(null.maxima[other], null.kinds)))
+        for own, other in (halves, halves[::-1])
+        if len(null.maxima[other])
     )
 
 

@@ -31,7 +31,8 @@ SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
 POLISH = (0.02, 0.02, 0.02)  # with known slopes their sizes say only that they may end the fit
-CLOSE = (0.03, 0.03, 0.03)  # of a range, where slopes are taken once more
+CLOSE = (0.03, 0.03, 0.03)  # of a range, where slopes are taken once more,
+ROUNDS = 8  # and again until the loss stays: nearly all do so within six
 POLISH_STRETCH = (0.4,)
 REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
 FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
@@ -273,10 +274,17 @@ class Fitter:
         return other if other.total < fit.total else fit
 
     def polish(self, fit: Fit) -> Fit:
-        """A fit at another time step carried on at this one, first with its slopes, then with slopes of this step."""
+        """A fit at another time step carried on at this one, first with its slopes, then with slopes of this step.
+
+        Where a foot may slip, slopes turn on the way: those of the end tell whether it is one.
+        """
         fine = self.run(fit.unit[None], fit.nuisance, POLISH, POLISH_STRETCH, known=(fit.jacobian, fit.bend))
-        fine = self.run(fine.unit[None], fine.nuisance, CLOSE, POLISH_STRETCH)
-        return dataclasses.replace(fine, converged=fit.converged and fine.total < np.inf)
+        for _ in range(ROUNDS):
+            before = fine.total
+            fine = self.run(fine.unit[None], fine.nuisance, CLOSE, POLISH_STRETCH)
+            if not fine.total < np.inf or before - fine.total < max(SMALL_GAIN, SMALL_SHARE * abs(before)):
+                return fine
+        return dataclasses.replace(fine, converged=False)
 
     def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
         return float(self.problem.loss(residual, scale, self.sets).sum() + 0.5 * delta @ delta)

@@ -161,7 +161,7 @@ def intervals(
     if folds > 1:
         apart = held.unit - held.unit.mean(axis=0)
         variance = np.maximum(variance, (folds - 1) / folds * (apart**2).sum(axis=0))
-    quantile = stdtrit(max(folds - 1, 2), 0.5 + level / 2)
+    quantile = stdtrit(max(folds - 1, 1), 0.5 + level / 2)
     half = np.sqrt(quantile**2 * (variance + drift**2 / 3.0) + shift**2)
     grow = half / (ndtri(0.5 + level / 2) * np.sqrt(np.diag(inverse)))
     return np.clip(fit.unit - half, 0, 1), np.clip(fit.unit + half, 0, 1), inverse * np.outer(grow, grow)

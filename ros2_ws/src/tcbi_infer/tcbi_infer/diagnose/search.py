@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
+from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.fit import CLOSE_STEPS, Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.screen import Screen, Targets
@@ -47,12 +48,16 @@ class Search:
         """(U) the uses."""
         return self.screen.directions.uses
 
+    @property
+    def worth(self) -> np.ndarray:
+        """(U) gain of each use by screening; a kind of motion that went otherwise counts as little as in a verdict."""
+        return paired.total(self.gains, self.screen.sizes)[0]
+
     def best_by_screening(self) -> list[int]:
         """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
-        mean = self.gains.mean(axis=0)
-        share = self.settings.least_share
-        least = -np.inf if share is None else share * float(np.max(mean))
-        order = [u for u in np.argsort(-mean) if mean[u] >= least]
+        share, worth = self.settings.least_share, self.worth
+        least = -np.inf if share is None else share * float(np.max(worth))
+        order = [u for u in np.argsort(-worth) if worth[u] >= least]
         chosen: list[int] = []
         per_effect: dict[str, int] = {}
         for u in order:
@@ -61,6 +66,17 @@ class Search:
                 chosen.append(int(u))
                 per_effect[name] = per_effect.get(name, 0) + 1
         return chosen
+
+    def elsewhere(self, fits: Fits) -> Fits:
+        """The best candidate's fit in another valley of the loss, if it is better: looked for here, if not always."""
+        if self.settings.escape or not fits:
+            return {}
+        u = min(fits, key=lambda u: fits[u][0].total)
+        self.progress(f"fitting {self.names[u]} elsewhere", 0.75)
+        rough, fine = fits[u]
+        other = self._fitter(fine.model).escape(rough, len(self.base.unit), CLOSE_STEPS)
+        found = fine if other is rough else refined(self.problem, other, self.nuisance, self.sets, self.settings)
+        return {u: (other, found)} if found.total < fine.total else {}
 
     def hidden(self, fits: Collection[int]) -> dict[int, np.ndarray]:
         """Uses of other effects that start well far from the base fit, where what was fitted leaves too much.
@@ -74,7 +90,7 @@ class Search:
         seen = {_effect(self.names[u]) for u in fits}
         losses: dict[int, float] = {}
         starts: dict[int, np.ndarray] = {}
-        for u in map(int, np.argsort(-self.gains.mean(axis=0))):
+        for u in map(int, np.argsort(-self.worth)):
             name = _effect(self.names[u])
             if name in seen or len(losses) == self.settings.further:
                 continue

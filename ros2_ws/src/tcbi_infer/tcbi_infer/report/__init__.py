@@ -7,6 +7,7 @@ from tcbi_infer.report.sections import (
     add_diagnosis,
     add_difference,
     add_history,
+    add_kept_ladder,
     add_ladder,
     add_version,
 )
@@ -21,6 +22,7 @@ __all__ = [
     "add_difference",
     "add_history",
     "add_inference",
+    "add_kept_ladder",
     "add_ladder",
     "add_version",
     "file_name",

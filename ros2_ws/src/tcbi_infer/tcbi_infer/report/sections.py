@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from tcbi_contract.wording import with_unit
+from tcbi_infer.compare.history import history
+from tcbi_infer.compare.ladder import lineage
 from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose import detectable, excitation
 from tcbi_infer.diagnose.evidence import EFFECT, Diagnosis, Evidence, step_label
@@ -40,6 +42,17 @@ def add_ladder(
     )
     figure = Figure(plots.ladder(errors, repeated), "Error over noise floor, joints and attitude.", wide=True)
     report.add(Section(title, text=[explain, *([text] if text else [])], figures=[figure]))
+
+
+def add_kept_ladder(report: Report, version: Model, models: Sequence[Model]) -> None:
+    """The ladder up to a version, of the errors that the diagnoses kept; nothing where none was measured."""
+    line = history(lineage(version, models))
+    errors = [(f"{v.model} ({', '.join(v.effects) or 'no effect'})", v.error_over_floor) for v in line]
+    known = [(label, error) for label, error in errors if error is not None]
+    if not known:
+        return
+    text = "Each as a diagnosis kept it, on rollouts that its fits had not seen; `history` measures all on the same."
+    add_ladder(report, known, text, title=f"The way to {version.version}")
 
 
 def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[str, float]] = ()) -> None:
@@ -200,14 +213,15 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
     if evidence.get("errors"):
         errors = [(step_label(k), v) for k, v in evidence["errors"].items()]
         add_ladder(report, errors, repeated=evidence.get("floor_from_replicates"))
-    own = [p for p in evidence.get("parameters", []) if p["name"] not in parent.names]
     before = dict(zip(parent.names, _quantiles(parent), strict=True))
     rows = [
-        [p.name, p.unit, before.get(p.name, "–"), now]
-        for p, now in zip(child.parameters, _quantiles(child), strict=True)
+        [p.name, p.unit, before.get(p.name, "–"), after]
+        for p, after in zip(child.parameters, _quantiles(child), strict=True)
     ]
     head = ["parameter", "unit", f"{parent.version}: mean (5 % to 95 %)", child.version]
-    figures = [_size(p["name"], p["unit"], p["value"], p["low90"], p["high90"], p["null"]) for p in own]
+    now = intervals(child)
+    own = [p for p in child.parameters if p.name not in parent.names]
+    figures = [_size(p.name, p.unit, now[p.name].mean, now[p.name].low90, now[p.name].high90, p.null) for p in own]
     report.add(Section("Its parameters", figures=figures, table=Table(head, rows)))
 
 

@@ -70,7 +70,7 @@ class CalibratedInfo(NamedTuple):
     floor_noise: np.ndarray  # (statistics,) mean over channels
     floor_misfit: np.ndarray  # (statistics,)
     misfit: np.ndarray  # (C,) of each channel, over its noise, or over the mean of its statistic's where that is more
-    best: np.ndarray  # (n, P) in [0, 1], the particles that fit best
+    best: np.ndarray  # (n, P) the particles that fit best, in the cube where the prior is uniform
 
 
 def init(dimensions: int) -> CalibratedState:

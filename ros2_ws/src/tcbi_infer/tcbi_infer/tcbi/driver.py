@@ -205,7 +205,8 @@ class _Loop:
         while not self.method.finished(self.state, self.settings):
             rng, began = np.random.default_rng([self.seed, self.state.generation + 1]), time.monotonic()
             self._tell(0.0)
-            self.state, self.last = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
+            self.state, found = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
+            self.last = self._told(found)
             self.here += 1
             self._record(time.monotonic() - began)
             if self.place is not None:
@@ -218,6 +219,12 @@ class _Loop:
             return self.problem.simulate(unit, self._tell, self.method.view)
         except SimError as e:
             raise InferError(f"the simulation cannot run these rollouts: {e}") from e
+
+    def _told(self, found: Generation) -> Generation:
+        """A generation with its best particles where the posterior's are: in the parameters' unit cube."""
+        if "best" not in found.notes:
+            return found
+        return found._replace(notes={**found.notes, "best": self.problem.unit(np.array(found.notes["best"])).tolist()})
 
     def _posterior(self) -> tuple[np.ndarray, np.ndarray]:
         """Particles (M, P) in the parameters' unit cube, and their log-weights (M,)."""
@@ -274,7 +281,8 @@ class _Loop:
             raise InferError("no particle has any weight: every simulation diverged")
         unit, log_weights = unit[kept], np.log(np.maximum(normalised(log_weights[kept]), 1e-300))
         last = self._last_generation()
-        wrong, fits = misfits(model.parameters, unit, log_weights, self.statistics, last, self._generation_before())
+        before = self._generation_before()
+        wrong, fits = misfits(model.parameters, unit, log_weights, self.statistics, last, before, self.known)
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):

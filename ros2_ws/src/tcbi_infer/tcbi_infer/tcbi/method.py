@@ -30,7 +30,7 @@ class Generation(NamedTuple):
     ess: float
     alpha: float
     divergence: np.ndarray  # (statistics,) weighted mean over particles
-    notes: dict[str, Any]  # what the method adds
+    notes: dict[str, Any]  # what the method adds; `best`, the particles that fit best, in the cube that it works on
 
 
 def nothing() -> None:

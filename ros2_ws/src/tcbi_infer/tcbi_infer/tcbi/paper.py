@@ -5,6 +5,10 @@ What Algorithm 1 leaves open, and how it is read here:
 - The discrepancy `D_i` of several statistics is the sum over statistics of the mean over each one's channels.
 - `sigma` is in shares of each parameter's prior range (on the parameter's scale); a step over a bound is reflected, so
   that no particle leaves the prior. Neither sigma nor tau has a value in the paper.
+- The reward has a sample per control step, as section 3 collects (s, a, r) at each t. Table 2 ("reward distribution
+  sample size", 20, over random environments) can also be read as one per rollout.
+- The ratio of contact time has a sample per foot and window of 2 s: a value per rollout would be as few samples as
+  rollouts. The paper names no window.
 - Lines 1 and 7 estimate distributions by histograms of 20 bins (`tcbi_infer.divergence`).
 - Convergence: "when the difference between the current and the previous iteration of the posterior mean value is below
   a threshold", "also confirmed ... when improvement of the task reward is below a threshold": both must hold; where the

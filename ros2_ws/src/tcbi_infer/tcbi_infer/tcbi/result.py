@@ -21,6 +21,7 @@ PILED = 0.5  # share of the posterior at a bound that is worth a line
 MISFIT = 4.0  # remaining divergence over noise, in the mean of a statistic's channels, that is worth a warning
 MISFIT_OF_ONE = 6.0  # the same of a single channel
 NEAR = 0.05  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
+UNLIKELY = 0.05  # share of a prior that is not flat, beyond which they lie where that prior may be in the way
 POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
 FALLING = 0.1  # share by which that ratio falls in a generation, from which more of them may still mend it
 UNTOLD = (
@@ -181,6 +182,7 @@ def misfits(
     statistics: Sequence[str],
     last: Generation,
     before: Generation | None,
+    prior: np.ndarray | None = None,
 ) -> tuple[list[str], bool | None]:
     """A line for each reason to doubt that the model fits, and whether it does; None: the search was too short to tell.
 
@@ -191,15 +193,17 @@ def misfits(
       statistics: names.
       last: generation.
       before: the generation before it, None if there was none.
+      prior: (N, P) draws of it in [0, 1], None for flat.
     """
     ratios, single = dict(zip(statistics, _misfit_ratios(last), strict=False)), last.notes.get("misfit", {})
     earlier = {} if before is None else dict(zip(statistics, _misfit_ratios(before), strict=False))
     falling = _falling(ratios, earlier) | _falling(single, {} if before is None else before.notes.get("misfit", {}))
-    bounds = [
+    beyond = {} if prior is None else _beyond(parameters, last, prior)
+    bounds = list(beyond.values()) + [
         f"the prior of {end.parameter.name} seems to exclude the data: what fits best lies at its {end.at}, "
         "and fits poorly; widen the prior, or an effect is missing"
         for end in _ends(parameters, unit, log_weights, last)
-        if not end.null and (end.share > PILED or end.best)
+        if not end.null and (end.share > PILED or end.best) and end.parameter.name not in beyond
     ]
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
@@ -214,6 +218,29 @@ def misfits(
     if lines or not untold:
         return lines, not lines
     return [UNTOLD.format(", ".join(untold))], None
+
+
+def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> dict[str, str]:
+    """A line for each parameter whose best values all lie beyond what draws (N, P) of the prior lead to expect."""
+    best, lines = np.asarray(last.notes.get("best", [])), {}
+    low, high = np.quantile(prior, [UNLIKELY, 1 - UNLIKELY], axis=0)
+    for i, p in enumerate(parameters if len(best) else ()):
+        # a prior that reaches to the null value has the effect absent among what it expects
+        below = best[:, i].max() < low[i] and not (p.null == p.low and low[i] < NEAR)
+        above = best[:, i].min() > high[i] and not (p.null == p.high and 1 - high[i] < NEAR)
+        if below or above:
+            found, least, most = (f"{p.from_unit(unit):.3g}" for unit in (best[:, i].mean(), low[i], high[i]))
+            lines[p.name] = (
+                f"the prior of {p.name} seems to exclude the data: what fits best has {found}{_unit(p)}, where the "
+                f"prior expects {least} to {most}{_unit(p)} ({1 - 2 * UNLIKELY:.0%}), and fits poorly; take the flat "
+                "prior, or an effect is missing"
+            )
+    return lines
+
+
+def _unit(parameter: Parameter) -> str:
+    """As it stands behind a value."""
+    return "" if parameter.unit in ("", "1") else f" {parameter.unit}"
 
 
 def _worst_channels(single: Mapping[str, float], ratios: Mapping[str, float]) -> dict[str, float]:
@@ -257,14 +284,13 @@ def _ends(
     best = np.asarray(last.notes.get("best", np.empty((0, len(parameters)))))
     weights = normalised(log_weights)
     for i, p in enumerate(parameters):
-        measure = "" if p.unit in ("", "1") else f" {p.unit}"
         for name, bound, far, far_best in (
             ("low", p.low, unit[:, i], best[:, i]),
             ("high", p.high, 1 - unit[:, i], 1 - best[:, i]),
         ):
             near = bool(len(best)) and bool(np.all(far_best < NEAR))
             share = float(weights[far < EDGE].sum())
-            yield _End(p, f"{name} end, {bound:g}{measure}", p.null == bound, share, near)
+            yield _End(p, f"{name} end, {bound:g}{_unit(p)}", p.null == bound, share, near)
 
 
 def unfinished(last: Generation) -> list[str]:

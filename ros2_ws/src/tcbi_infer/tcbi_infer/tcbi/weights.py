@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.special import logsumexp
 
+TEMPERATURES = 61  # at which `temper` looks, over six decades below the value wanted
+
 
 def normalised(log_weights: np.ndarray) -> np.ndarray:
     """(M,) log-weights -> weights that sum to one; all zero weights become zero, not NaN."""
@@ -41,6 +43,8 @@ def resample(rng: np.random.Generator, weights: np.ndarray, size: int) -> np.nda
 def temper(energy: np.ndarray, log_base: np.ndarray, alpha: float, least_ess: float) -> float:
     """The largest inverse temperature up to `alpha` that leaves an effective sample size of `least_ess`.
 
+    With unequal base weights the sample size may rise before it falls, so it is looked at from the largest value down.
+
     Args:
       energy: (M,) what the log-weights fall by per unit of alpha; inf weighs nothing.
       log_base: (M,) log-weights at alpha = 0.
@@ -52,9 +56,11 @@ def temper(energy: np.ndarray, log_base: np.ndarray, alpha: float, least_ess: fl
         with np.errstate(invalid="ignore"):
             return effective_sample_size(normalised(np.where(np.isfinite(energy), log_base - a * energy, -np.inf)))
 
-    if ess(alpha) >= least_ess:
+    grid = [*(alpha * np.geomspace(1.0, 1e-6, TEMPERATURES)).tolist(), 0.0]
+    enough = next((k for k, a in enumerate(grid) if ess(a) >= least_ess), len(grid) - 1)
+    if enough == 0:
         return alpha
-    low, high = 0.0, alpha
+    low, high = grid[enough], grid[enough - 1]
     for _ in range(50):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if ess(middle) >= least_ess else (low, middle)
