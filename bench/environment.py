@@ -18,32 +18,38 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tcbi_bringup.commands.bench import figure
 from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_policy.configuration import PRESETS
 from tcbi_policy.environment import TIMESTEP_S, HexapodEnv, HexapodVectorEnv
 from tcbi_policy.gaits import Gait
 from tcbi_sim.model import base_model
 
 SEED = 1  # of the episodes, the same for all
-COUNT = 64  # environments, as many as a training steps
 SINGLES = 8  # of DummyVecEnv, whose cost is proportional to them
 SETTLE_STEPS = round(1.0 / TIMESTEP_S)
 
 
 def measure(pairs: int) -> list[dict[str, Any]]:
-    """Figures; every ratio is the median over pairs of runs in turn."""
+    """Figures of each task, with as many environments as its training steps."""
+    return [row for task, config in PRESETS["fast"].items() for row in figures_of(task, config.environments, pairs)]
+
+
+def figures_of(task: str, count: int, pairs: int) -> list[dict[str, Any]]:
+    """Of one task; every ratio is the median over pairs of runs in turn."""
     model = base_model("hexapod")
-    environment = HexapodVectorEnv(model, "balance", COUNT)
+    environment = HexapodVectorEnv(model, task, count)
     gait = Gait("steps")
-    actions = [gait.act(0.2 * k, np.zeros((COUNT, 21))) / environment.limit for k in range(environment.steps)]
+    times = CONTROL_PERIOD_S * np.arange(environment.steps)
+    actions = [gait.act(time, np.zeros((count, 21))) / environment.limit for time in times]
 
     def episodes() -> None:
-        """One set of episodes: drawing, settling, 40 control steps with rewards."""
+        """One set of episodes: drawing, settling, control steps with rewards."""
         environment.reset(seed=SEED)
         for action in actions[:-1]:  # the last one would begin the next set
             environment.step(action)
 
     episodes()
     physics = bare_physics(environment, actions[:-1])
-    dummy = DummyVecEnv([functools.partial(HexapodEnv, model, "balance", k) for k in range(SINGLES)])
+    dummy = DummyVecEnv([functools.partial(HexapodEnv, model, task, k) for k in range(SINGLES)])
 
     def one_by_one() -> None:
         dummy.reset()
@@ -54,10 +60,11 @@ def measure(pairs: int) -> list[dict[str, Any]]:
     for _ in range(pairs):
         whole = seconds(episodes)
         shares.append(seconds(physics) / whole)
-        speedups.append((seconds(one_by_one) / SINGLES) / (whole / COUNT))
+        speedups.append((seconds(one_by_one) / SINGLES) / (whole / count))
     return [
-        figure("share of the environment's time that is physics, median", statistics.median(shares), "1", least=0.8),
-        figure("DummyVecEnv over single environments to the vector environment, time of a control step, median",
+        figure(f"{task}: share of the environment's time that is physics, median", statistics.median(shares), "1",
+               least=0.8),
+        figure(f"{task}: DummyVecEnv over single environments to the vector environment, time of a step, median",
                statistics.median(speedups), "1", least=3.0),
     ]  # fmt: skip
 
@@ -65,10 +72,10 @@ def measure(pairs: int) -> list[dict[str, Any]]:
 def bare_physics(environment: HexapodVectorEnv, actions: list[np.ndarray]) -> Callable[[], None]:
     """MuJoCo alone: the same models on the same ground through the same controls, settling included."""
     environment.reset(seed=SEED)
-    own, data = zip(*(environment.simulator.materialise(i) for i in range(COUNT)), strict=True)
+    own, data = zip(*(environment.simulator.materialise(i) for i in range(environment.num_envs)), strict=True)
     for m in own:
         m.opt.timestep = TIMESTEP_S
-    batch = Batch(own[0], COUNT)
+    batch = Batch(own[0], len(own))
     batch.set_models(list(own))
     posture = np.array([s.initial_joint_position for s in environment.simulator.scenarios])
     targets = [posture, *(environment.limit * np.clip(a, -1.0, 1.0) for a in actions)]

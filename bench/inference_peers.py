@@ -7,14 +7,17 @@
 Needs the libraries of requirements-peers.in; one that is missing is left out with a line. A truth is drawn from the
 prior, simulated with finer steps than an inference takes, and given sensor noise. The error is that of the posterior's
 mean, in shares of the prior's range, root mean square over parameters and truths. A peer may take so many times as long
-as TCBI did on the same rollouts. `--keep FILE` holds one JSON line for each truth; what is there is not run again.
+as TCBI did on the same rollouts. `--keep FILE` holds one JSON line for each truth of each task, size and set of peers;
+what is there is not run again.
 """
 
 import argparse
+import dataclasses
 import importlib.util
 import json
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,18 +36,34 @@ RESAMPLES = 2000
 Result = dict[str, Any]
 
 
-def run(truth: int, task: str, rollouts: int, duration_s: float, generations: int, peers: list[str]) -> Result:
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """What is run; a result of the same case is not run again."""
+
+    task: str
+    truth: int
+    rollouts: int
+    duration: float  # s
+    generations: int  # of TCBI
+    peers: tuple[str, ...]
+
+    def key(self) -> str:
+        """Equal for equal cases, and for their JSON."""
+        return json.dumps(dataclasses.asdict(self), sort_keys=True)
+
+
+def run(case: Case) -> Result:
     """Everybody's beliefs about one robot."""
-    values, measured = recorded("model", task, truth, rollouts, duration_s)
-    problem = Problem.of(base_model(RIG), measured, seed=truth)
-    own = with_tcbi(problem, truth, generations)
+    values, measured = recorded("model", case.task, case.truth, case.rollouts, case.duration)
+    problem = Problem.of(base_model(RIG), measured, seed=case.truth)
+    own = with_tcbi(problem, case.truth, case.generations)
     found = {"tcbi": own}
-    for name in peers:
-        found[name] = PEERS[name](problem, truth, PATIENCE * own[-1].wall_s)
-        print(f"truth {truth}: {name}, {len(found[name])} rounds", file=sys.stderr)
+    for name in case.peers:
+        found[name] = PEERS[name](problem, case.truth, PATIENCE * own[-1].wall_s)
+        print(f"truth {case.truth}: {name}, {len(found[name])} rounds", file=sys.stderr)
     unit = problem.model.to_unit(values)
     return {
-        "truth": truth,
+        "case": json.loads(case.key()),
         "parameters": list(problem.model.names),
         "beliefs": {name: [_plain(belief, unit) for belief in beliefs] for name, beliefs in found.items()},
     }
@@ -59,7 +78,7 @@ def _plain(belief: Belief, unit: np.ndarray) -> dict[str, Any]:
     }
 
 
-def figures(found: list[Result], peers: list[str]) -> list[dict[str, Any]]:
+def figures(found: list[Result], peers: Sequence[str]) -> list[dict[str, Any]]:
     """Errors, times, and how many times as long a peer takes to TCBI's error."""
     own = [r["beliefs"]["tcbi"][-1] for r in found]
     n = len(found)
@@ -131,6 +150,18 @@ def kept(path: Path) -> list[Result]:
     return found
 
 
+def results(wanted: list[Case], file: Path) -> list[Result]:
+    """Of all cases, those kept from an earlier run as they are."""
+    done = {json.dumps(r.get("case"), sort_keys=True): r for r in kept(file)}
+    for case in wanted:
+        if case.key() not in done:
+            done[case.key()] = run(case)
+            torn = file.exists() and not file.read_bytes().endswith(b"\n")
+            with file.open("a") as stream:
+                stream.write("\n" * torn + json.dumps(done[case.key()]) + "\n")
+    return [done[case.key()] for case in wanted]
+
+
 def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -144,18 +175,12 @@ def main() -> int:
     options = parser.parse_args()
     first, end = (0, 1) if options.quick else (int(n) for n in options.truths.split(":"))
     size = (2, 1.0, 2) if options.quick else (options.rollouts, options.duration, options.generations)
-    peers = [name for name in PEERS if importlib.util.find_spec(name)]
+    peers = tuple(name for name in PEERS if importlib.util.find_spec(name))
     for name in PEERS.keys() - set(peers):
         print(f"{name} is left out: not installed (requirements-peers.in)", file=sys.stderr)
     with tempfile.TemporaryDirectory() as folder:
-        file = options.keep or Path(folder) / "results.jsonl"
-        done = {r["truth"] for r in kept(file)}
-        for truth in range(first, end):
-            if truth not in done:
-                result = run(truth, options.task, *size, peers)
-                with file.open("a") as stream:
-                    stream.write(json.dumps(result) + "\n")
-        found = [r for r in kept(file) if first <= r["truth"] < end]
+        cases = [Case(options.task, truth, *size, peers) for truth in range(first, end)]
+        found = results(cases, options.keep or Path(folder) / "results.jsonl")
     print(json.dumps({"name": "inference_peers", "figures": figures(found, peers)}, indent=2))
     return 0
 

@@ -23,7 +23,7 @@ from tcbi_bringup.commands.bench import figure
 from tcbi_infer.tcbi import calibrated
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.problem import Problem, _seen, task_features
-from tcbi_policy.gaits import Gait
+from tcbi_policy.artefact import find_policy
 from tcbi_sim import ray_workers
 from tcbi_sim.engine import Chunk, SimulatedRollouts, _simulated, simulate
 from tcbi_sim.measurement import Commands, Scenario
@@ -37,12 +37,13 @@ EMPTY = 400  # tasks without work
 TRAJECTORIES, FEATURES = "simulate, trajectories travel", "inference, histograms travel"
 
 
-def problem(model: Model, rollouts: int, duration: float) -> Problem:
-    """An inference from rollouts of a scripted gait, each from its own posture."""
+def problem(model: Model, rollouts: int, duration: float, policy: str = "gait:steps") -> Problem:
+    """An inference from rollouts, each from its own posture: of a scripted gait, or in closed loop of a policy."""
+    actor = find_policy(policy)
     scenarios = [Scenario("forward", duration, initial_yaw=0.1 * k, seed=k) for k in range(rollouts)]
-    out = simulate(model, model.mean()[None], scenarios, controller=Gait("steps"), timestep=STEP_S)
-    measured = [out.measurement(0, s, f"rollout_{s}", "gait:steps") for s in range(rollouts)]
-    return Problem.of(model, measured, loop="open", timestep=STEP_S)
+    out = simulate(model, model.mean()[None], scenarios, controller=actor, timestep=STEP_S)
+    measured = [out.measurement(0, s, f"rollout_{s}", actor.policy_id) for s in range(rollouts)]
+    return Problem.of(model, measured, timestep=STEP_S)
 
 
 def processor_seconds() -> float:
@@ -176,7 +177,7 @@ def of_steps(small: Problem) -> dict[str, float]:
 
     with using(Here(threads=1)):
         each = statistics.median(
-            spent(lambda: _simulated(small.model, None, STEP_S, 1, None, None, short)) for _ in range(9)
+            spent(lambda: _simulated(small.model, None, None, STEP_S, 1, None, None, short)) for _ in range(9)
         )
         many = statistics.median(spent(lambda: _seen(small, task_features, unit)) for _ in range(3))
     steps = len(unit) * ROLLOUTS * (DURATION_S + SETTLE_S) / STEP_S
@@ -208,7 +209,7 @@ def what_travels(model: Model) -> dict[str, float]:
     large = problem(model, RECORDED, LONG_S)
     commands, scenarios = large.groups[0].measurements[0].commands, large.groups[0].measurements[0].scenario
     rows = Chunk(0, model.mean()[None].repeat(4, axis=0), [scenarios] * 4, [commands] * 4)
-    part = _simulated(model, None, STEP_S, 0, None, None, rows)
+    part = _simulated(model, None, None, STEP_S, 0, None, None, rows)
     unit = np.full((1, len(model.names)), 0.5)
 
     def size(thing: Any) -> int:

@@ -101,6 +101,34 @@ def test_methods_of_several_budgets_are_compared_with_the_rollouts_that_each_too
     assert not any("error over its" in row["name"] for row in apart)
 
 
+def test_a_hidden_effect_must_be_said_and_a_search_too_short_to_tell_is_counted_apart(bench) -> None:
+    found = changed([result(bench, i, "calibrated", 0.01) for i in range(10)], source="hidden")
+    for i, one in enumerate(found):
+        one |= {"says_misfit": i < 8, "says_outside": i == 8, "says_untold": i == 9}
+
+    def said(found: list[dict]) -> dict:
+        return value(bench["figures"].figures(found), "calibrated: inferences that call the model wrong, of 10")
+
+    assert (said(found)["value"], said(found)["target"], said(found)["met"]) == (0.9, 0.9, True)
+    found[0]["says_misfit"] = False
+    assert said(found)["met"] is False
+    assert value(bench["figures"].figures(found), "inferences that cannot tell whether the model is")["value"] == 0.1
+    assert said(changed(found, source="model"))["target"] is None
+    del found[0]["says_untold"]
+    assert not any("cannot tell" in row["name"] for row in bench["figures"].figures(found))
+
+
+def test_the_budget_has_its_target_beside_the_papers(bench) -> None:
+    paper = changed([result(bench, 0, "paper", 0.02)], generations=15, settings=[])
+    for generations, met in ((3, True), (6, False)):
+        own = changed([result(bench, 0, "calibrated", 0.01)], generations=generations, settings=[])
+        own[0]["simulations"] = 1000 * generations
+        row = value(bench["figures"].figures(own + paper), "calibrated: simulated rollouts over the paper's 15,000")
+        assert (row["value"], row["target"], row["met"]) == (round(generations / 15, 3), 0.2, met)
+        alone = bench["figures"].figures(own + changed(paper, generations=6))
+        assert not any("15,000" in row["name"] for row in alone)
+
+
 def options(**given) -> argparse.Namespace:
     rest = {"source": "model", "task": "forward", "truths": "0:1", "noise": "0", "set": [], "rollouts": 20, "bins": 20}
     return argparse.Namespace(**rest | {"duration": 8.0, "particles": 50, "generations": 6} | given)

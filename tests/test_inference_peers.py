@@ -69,6 +69,27 @@ def test_a_line_that_was_cut_off_is_run_again(bench, tmp_path, capsys):
     assert "left out" in capsys.readouterr().err
 
 
+def test_a_kept_result_is_taken_for_its_own_case_alone(bench, tmp_path, monkeypatch, capsys):
+    ran = []
+
+    def inferred(case):
+        ran.append(case)
+        return {"case": json.loads(case.key()), "beliefs": {}}
+
+    monkeypatch.setattr(bench, "run", inferred)
+    keep = tmp_path / "kept.jsonl"
+    keep.write_text(json.dumps(truth(0)) + '\n{"case": {"tr')  # of before cases were kept, and cut off
+    case = bench.Case("forward", 0, 6, 1.6, 6, ("sbi",))
+    bench.results([case], keep)
+    others = [
+        dataclasses.replace(case, **changed)
+        for changed in ({"task": "balance"}, {"rollouts": 2}, {"duration": 1.0}, {"generations": 2}, {"peers": ()})
+    ]
+    found = bench.results([case, *others], keep)
+    assert ran == [case, *others] and [r["case"] for r in found] == [json.loads(c.key()) for c in ran]
+    assert bench.results(others[:1], keep) == found[1:2] and len(ran) == 6, "nothing is run twice"
+
+
 def test_tcbis_mean_is_taken_on_the_scale_of_its_peers(bench, monkeypatch):
     peers, problem = sys.modules["peers.inference"], servo_problem()
     found = []

@@ -113,6 +113,21 @@ def test_an_unknown_effect_is_refused_before_any_fit(bags, tmp_path, capsys):
     assert "did you mean 'backlash'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("add", "backlash", "BAGS", "--prior"), "bags and --prior: each says where the size comes from"),
+        (("add", "backlash", "--diagnosis", __file__, "--prior"), "--diagnosis and --prior: each says"),
+        (("add", "backlash", "--prior", "--anyway"), "--anyway and --prior: a prior has no size to disagree on"),
+        (("diagnose", "BAGS", "--quick", "--refine", "2"), "not allowed with argument --quick"),
+    ],
+)
+def test_options_of_which_one_would_do_nothing_are_refused_together(bags, words, told, tmp_path, capsys):
+    given = [str(bags) if word == "BAGS" else word for word in words]
+    assert cli.main([*given, "--store", str(tmp_path)]) == 2
+    assert told in capsys.readouterr().err
+
+
 def test_an_unknown_candidate_is_refused_instead_of_being_left_out(bags, tmp_path, capsys):
     store = ("--store", str(tmp_path))
     assert cli.main(["diagnose", str(bags), "--effects", "backlash,command_latncy", *store]) == 2

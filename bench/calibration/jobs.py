@@ -63,6 +63,7 @@ def run(case: Case) -> Result:
         "closed_loop": result.closed_loop,
         "warnings": len(result.warnings),
         "says_misfit": any("no parameters reproduce" in line for line in result.warnings),
+        "says_untold": result.fits is None,
         "says_outside": any("seems to exclude" in line for line in result.warnings),
         "wall_s": time.perf_counter() - began,
         "cpu_s": time.process_time() - cpu,

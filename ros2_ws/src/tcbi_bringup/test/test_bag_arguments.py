@@ -65,7 +65,7 @@ def test_a_damaged_original_beside_its_repaired_bag_is_left_out_in_a_line(comman
     assert line.startswith(f"note: {original} is left out: ") and "no joint_states under" in refusal
 
 
-@pytest.mark.parametrize("command", ["history", "add --prior backlash"])
+@pytest.mark.parametrize("command", ["history", "add --anyway backlash"])
 def test_what_a_recording_lacks_is_said_before_it_is_used(command, tmp_path, capsys):
     bag = written(tmp_path, lost=(0.5, 1.0))
     said = told(capsys, *command.split(), bag, "--store", tmp_path)

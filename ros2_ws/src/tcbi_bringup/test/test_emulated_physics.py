@@ -198,6 +198,26 @@ def test_a_controller_is_asked_five_times_a_second_with_angles_and_attitude() ->
     assert recording.joint_position[-1, ::3] == pytest.approx(0.1, abs=0.05)
 
 
+class Dice(Stepper):
+    """A controller that notes what it could draw."""
+
+    def reset(self, count: int, rng: np.random.Generator) -> None:
+        super().reset(count, rng)
+        self.drawn = rng.standard_normal(3)
+
+
+def test_a_controller_draws_otherwise_on_each_robot_and_trial_and_apart_from_the_robots_own_streams() -> None:
+    def drawn(seed: int, trial: int) -> tuple[float, ...]:
+        controller = Dice()
+        EmulatedRobot(seed, "none").rollout(Scene(), 0.04, controller, settle=0.02, trial=trial)
+        return tuple(controller.drawn)
+
+    every = {drawn(seed, trial) for seed in (1, 2) for trial in (0, 5)}
+    assert len(every) == 4 and drawn(1, 5) in every
+    others = [(1, stream, 0) for stream in range(6)]  # numpy takes (1, 5) for the tracker's (1, 5, 0)
+    assert not every & {tuple(np.random.default_rng(key).standard_normal(3)) for key in others}
+
+
 @pytest.mark.parametrize("target", [np.zeros((2, 17)), np.zeros((3, 18))])
 def test_a_script_of_the_wrong_shape_is_refused(target: np.ndarray) -> None:
     with pytest.raises(EmulatedRobotError, match="strictly increasing times"):

@@ -20,3 +20,11 @@ def test_the_model_of_a_measurement_is_named_where_none_was_asked_for(tmp_path, 
     assert captured.err == "model hexapod-v0, the newest; --model names another\n"
     assert cli.main([*words, "--model", "hexapod-v0"]) == 0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "option", [("--rollouts", "32"), ("--seed", "0"), ("--task", "balance"), ("--model", "hexapod-v2")]
+)
+def test_an_option_of_a_measurement_is_refused_where_nothing_is_measured(option, tmp_path, capsys):
+    assert cli.main(["policy", "balance", *option, "--store", str(tmp_path)]) == 2
+    assert f"{option[0]}: got it without --measure" in capsys.readouterr().err

@@ -30,7 +30,10 @@ from tcbi_contract.errors import UsageError
 from tcbi_infer.baselines.prior import PriorSettings
 from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.method import METHODS
+from tcbi_policy import runs
+from tcbi_policy.configuration import preset
 from tcbi_sim.engine import SimError
+from tcbi_sim.model import base_model
 
 TINY = Plan(
     {"balance": TaskPlan("balance-early", 2, 10, 1, 1280, 2, 1)}, ((11, "strong"),), ("fixed_dr", WINNER), (0.05,)
@@ -110,6 +113,21 @@ def test_what_needs_a_piece_that_failed_is_left_out_with_the_same_reason(tmp_pat
     assert reasons == {f"{stage} failed: SimError: diverged" for stage in ("diagnose", "collect", "deploy")}
     findings = tables.Findings(plan, work.notebook)
     assert "collect failed" in write(findings, tmp_path / "study.html").read_text()
+
+
+def test_a_training_goes_on_with_the_same_configuration_model_and_code_alone(tmp_path, monkeypatch) -> None:
+    work = Experiment(TINY, tmp_path, Laboratory(1), threads=1)
+    model, config = base_model("hexapod"), preset("fast", "balance")
+
+    def folder(robot: int = 1, **changes: int) -> Path:
+        return work._run_folder(f"study-{robot}-tcbi", dataclasses.replace(config, **changes), model, "balance-early")
+
+    first, other = folder(), folder(robot=11)
+    assert first == folder() == folder(threads=2) != other
+    second = folder(steps=160)
+    assert second != first and second.is_dir() and not first.exists()
+    monkeypatch.setattr(runs, "LOADED", "code changed")
+    assert folder(steps=160) != second and not second.exists() and other.is_dir()
 
 
 def test_a_laboratory_whose_process_died_has_new_ones() -> None:

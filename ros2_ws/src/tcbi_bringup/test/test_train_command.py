@@ -3,6 +3,8 @@
 import argparse
 import dataclasses
 import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 
 from tcbi_bringup.commands import train
 from tcbi_bringup.errors import BringupError, WrongCallError
+from tcbi_policy import artefact
 from tcbi_policy.artefact import Policy, find_policy, save_policy
 from tcbi_sim.store import ModelStore
 
@@ -65,6 +68,39 @@ def test_a_log_that_cannot_be_copied_is_one_line_after_the_policy_is_kept(
     assert find_policy("mine", tmp_path).policy_id.startswith("mine@") and run.is_dir()
 
 
+def test_two_policies_without_a_name_that_are_kept_at_once_have_one_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    runs = [tmp_path / "runs" / name for name in "ab"]
+    for run in runs:
+        save_policy(run / "policy", shipped.mlp, shipped.card)
+        (run / "tensorboard").mkdir()
+
+    def slowly(*args: Any) -> Policy:
+        time.sleep(0.3)
+        return save_policy(*args)
+
+    monkeypatch.setattr(artefact, "save_policy", slowly)
+    with ThreadPoolExecutor(2) as pool:
+        kept = list(pool.map(lambda run: train._publish(run, "", tmp_path), runs))
+    assert sorted(path.stem for path in kept) == ["balance-1", "balance-2"]
+
+
+@pytest.mark.parametrize(
+    ("words", "steps"),
+    [((), 81_920), (("--steps", "77"), 77), (("--budget", "9"), 0), (("--budget", "9", "--steps", "77"), 77)],
+)
+def test_a_budget_in_seconds_stands_in_the_place_of_the_presets_steps(
+    words: tuple[str, ...], steps: int, tmp_path: Path
+) -> None:
+    parser = argparse.ArgumentParser()
+    train.add_arguments(parser)
+    run = train.plan(parser.parse_args(["--task", "balance", *words]), ModelStore(tmp_path))
+    assert (run.config.steps, run.config.budget_s) == (steps, 9.0 if "--budget" in words else 0.0)
+
+
 def test_a_policy_is_kept_under_the_very_name_that_was_asked_for(tmp_path: Path) -> None:
     shipped = find_policy("balance")
     assert isinstance(shipped, Policy)
@@ -75,6 +111,14 @@ def test_a_policy_is_kept_under_the_very_name_that_was_asked_for(tmp_path: Path)
         given = out if "/" not in out else str(tmp_path / out)
         assert train._publish(run, given, tmp_path) == tmp_path / f"{path}.safetensors"
     assert (tmp_path / "files" / "v1.tensorboard").is_dir() and (tmp_path / "tensorboard" / "v1.2").is_dir()
+
+
+@pytest.mark.parametrize(("total", "said"), [(640, "320 of 640 steps, "), (0, "320 steps, ")])
+def test_progress_tells_the_steps_of_all_where_they_are_limited(total: int, said: str) -> None:
+    notes: list[str] = []
+    known = {"steps": 320, "total_steps": total, "share": 0.5, "remaining_s": 3.0, "mean_return": 1.0}
+    train.follow({"event": "progress", **known}, lambda **shown: notes.append(shown["note"]))
+    assert notes[0].startswith(said)
 
 
 def test_an_evaluation_in_which_all_diverged_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from tcbi_policy.artefact import SHIPPED
 from tcbi_policy.retraining import OUTCOME
+from tcbi_policy.runs import installed
 
 KEPT, NOT_KEPT, UNFINISHED = "kept", "not kept", "not finished"
 
@@ -43,7 +44,8 @@ class Retraining:
 def retrainings(root: Path) -> list[Retraining]:
     """All of a store, the newest first, those that are not finished before them."""
     found = [_kept(path) for path in (root / "policies").glob("*.json")]
-    found += [_left(folder) for folder in (root / "runs").glob("retrain-*") if folder.is_dir()]
+    present = installed()
+    found += [_left(folder, present) for folder in (root / "runs").glob("retrain-*") if folder.is_dir()]
     known = [r for r in found if r is not None]
     return sorted(known, key=lambda r: (r.ended == UNFINISHED, r.created), reverse=True)
 
@@ -74,7 +76,7 @@ def _kept(path: Path) -> Retraining | None:
     )  # fmt: skip
 
 
-def _left(folder: Path) -> Retraining | None:
+def _left(folder: Path, present: str) -> Retraining | None:
     run, card = _json(folder / "run.json"), _json(folder / "policy.json")
     if not run:
         return None
@@ -83,6 +85,8 @@ def _left(folder: Path) -> Retraining | None:
         budget = run["config"].get("budget_s")
         time = f" with {budget:g} s" if budget else ""
         said = f"goes on where it stopped when the same is asked for again{time}"
+        if not run.get("contents", "").endswith(present):
+            said = f"begun with other code or libraries; the same request{time} begins afresh"
         return Retraining(folder.name, UNFINISHED, task, "", model, rival, said)
     said = _json(folder / OUTCOME).get("statement") or "not better with confidence; by how much was not written down"
     return Retraining(folder.name, NOT_KEPT, task, card.get("created", ""), model, rival, said, _curve(card))

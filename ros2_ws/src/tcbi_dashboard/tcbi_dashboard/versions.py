@@ -13,7 +13,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
 DRAWS = 300
-TECHNICAL = ("without samples", "the same in every sample", "closed loop", "resumed")  # notes that few readers need
+TECHNICAL = ("with fewer than", "the same in every sample", "closed loop", "resumed")  # notes that few readers need
 MADE = {"diagnosis": "fitted", "inference": "inferred", "remove": "effect taken out", "prior": "nothing fitted"}
 
 

@@ -5,10 +5,12 @@ import json
 import pytest
 
 from tcbi_dashboard.retrainings import KEPT, NOT_KEPT, UNFINISHED, policies, retrainings
+from tcbi_policy.runs import installed
 
 CURVE = [{"steps": 0, "mean_return": 457.0}, {"steps": 2560, "mean_return": 512.0}]
 CARD = {"task": "balance", "model": "hexapod-v2", "parent": "balance-early@3c46", "curve": CURVE, "training": {}}
 RUN = {"config": {"task": "balance", "budget_s": 120.0}, "model": "hexapod-v2", "rival": "balance-early"}
+RUN |= {"contents": f"balance-early@3c46, own files 0, {installed()}"}
 
 
 def write(path, content):
@@ -45,6 +47,13 @@ def test_all_are_listed_with_what_came_of_them(store):
 def test_a_training_that_goes_on_after_its_policy_was_refused_is_not_finished(store):
     (store / "runs/retrain-balance-aaa/checkpoint.safetensors").touch()
     assert [r.ended for r in retrainings(store)] == [UNFINISHED, UNFINISHED, KEPT]
+
+
+def test_a_training_begun_with_other_code_does_not_go_on(store):
+    other = {**RUN, "contents": "balance-early@3c46, own files 0, code 0, python 3"}
+    write(store / "runs/retrain-balance-bbb/run.json", other)
+    (cancelled, *_) = retrainings(store)
+    assert cancelled.ended == UNFINISHED and "other code" in cancelled.said and "begins afresh" in cancelled.said
 
 
 def test_what_an_older_version_did_not_write_down_is_not_made_up(store):

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from tcbi_dashboard import versions
+from tcbi_infer.tcbi import problem
 from tcbi_sim.model import base_model
 from tcbi_sim.store import ModelStore
 
 V0, V1, V2 = (f"servo_bench-v{n}" for n in range(3))
+(FEW,) = problem._silent(["contact_ratio/left_front"], [])  # a warning as an inference words it
 
 
 def narrowed(model, share):
@@ -39,7 +41,7 @@ def store(tmp_path):
             weights,
             inference={
                 "method": "calibrated", "rollouts": ["c"], "ess": 25.6, "parameters": told, "prior": V1, "fits": True,
-                "warnings": ["more could be learnt: with 26 effective particles", "closed loop: balance"],
+                "warnings": ["more could be learnt: with 26 effective particles", "closed loop: balance", FEW],
             },
         )
     )  # fmt: skip
@@ -61,7 +63,7 @@ def test_an_inference_names_its_prior_and_says_what_could_be_learnt(store):
     found = versions.posterior(store, V2)
     assert f"its prior is what {V1} says" in found["origin"]
     assert found["notes"] == ["more could be learnt: with 26 effective particles"]
-    assert found["technical"] == ["closed loop: balance"]
+    assert found["technical"] == ["closed loop: balance", FEW]
 
 
 @pytest.mark.parametrize(("fits", "why"), [(None, "the search was too short"), (False, "the model fits poorly")])

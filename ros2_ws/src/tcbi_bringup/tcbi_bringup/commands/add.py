@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from tcbi_bringup.arguments import existing_file
 from tcbi_bringup.commands import console
+from tcbi_bringup.errors import WrongCallError
 
 if TYPE_CHECKING:
     from tcbi_sim.measurement import Measurement
@@ -29,8 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_bags(parser, " to fit it to", least=0)
     console.add_model(parser, "the parent version")
     parser.add_argument("--rig", default="hexapod", help="whose newest version, without bags (default: hexapod)")
-    parser.add_argument("--diagnosis", type=existing_file, metavar="FILE", help="what `diagnose --json` wrote")
-    parser.add_argument("--prior", action="store_true", help="keep the parameters as wide as their prior")
+    parser.add_argument(
+        "--diagnosis", type=existing_file, metavar="FILE", help="what `diagnose --json` wrote, in place of bags"
+    )
+    parser.add_argument(
+        "--prior", action="store_true", help="keep the parameters as wide as their prior; no bags, no diagnosis"
+    )
     parser.add_argument(
         "--anyway", action="store_true", help="add it though the kinds of motion disagree on the effect's size"
     )
@@ -41,9 +46,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Find or make the fit, save the version, report, print."""
-    from tcbi_infer.report import Report, add_version
+    from tcbi_infer.report import Report, add_kept_ladder, add_version
     from tcbi_sim.store import ModelStore
 
+    given = {"bags": args.bags, "--diagnosis": args.diagnosis, "--prior": args.prior}
+    if len(several := [name for name, value in given.items() if value]) > 1:
+        raise WrongCallError(f"{' and '.join(several)}: each says where the size comes from; give one of them")
+    if args.anyway and args.prior:
+        raise WrongCallError("--anyway and --prior: a prior has no size to disagree on; give one of them")
     store = ModelStore(args.store)
     measurements = console.read_bags(args)
     console.note_findings(measurements)
@@ -53,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
         child = _fitted(args, model, measurements, store.folder("runs"))
     saved = store.save(child)
     report = Report(f"{saved.version}: {model.version} with {args.effect}", "A new model version.")
+    if "errors" not in saved.evidence:
+        add_kept_ladder(report, model, store.history(model.rig))
     add_version(report, model, saved)
     path = report.write(args.report or store.folder("reports") / f"add-{saved.version}.html")
     if args.json:
@@ -108,6 +120,8 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
     errors = saved.evidence.get("errors", {})
     if effect in errors:
         judged = "rollouts that no fit has seen" if saved.evidence["sealed"] else "motions held out in turn"
+        if saved.evidence["nothing_held_out"]:
+            judged = "the motion of the fit itself, which says nothing of others"
         print(
             f"error over the noise floor on {judged}: {errors['base']:.1f} with {model.version} "
             f"fitted again, {errors[effect]:.1f} with {saved.version}"

@@ -38,8 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="save what is found as a new version and diagnose that, until no effect is named (three effects at most)",
     )
-    parser.add_argument("--refine", type=at_least(0), default=3, help="candidates that get a full fit (default: 3)")
-    parser.add_argument(
+    thorough = parser.add_mutually_exclusive_group()
+    thorough.add_argument("--refine", type=at_least(0), default=3, help="candidates that get a full fit (default: 3)")
+    thorough.add_argument(
         "--quick", action="store_true", help="a first answer from few motions: coarse steps, no single joints, two fits"
     )
     console.add_workers(parser)

@@ -29,13 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Load both, compare, report, print."""
     from tcbi_infer.compare.versions import compare_versions
-    from tcbi_infer.report import Report, add_difference
+    from tcbi_infer.report import Report, add_difference, add_kept_ladder
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
     before, after = (store.load(version, args.rig) for version in (args.before, args.after))
     difference = compare_versions(before, after)
     report = Report(f"{before.version} and {after.version}", "What differs between two versions of a model.")
+    add_kept_ladder(report, after, store.history(after.rig))
     add_difference(report, difference)
     path = report.write(args.report or store.folder("reports") / f"diff-{before.version}-{after.version}.html")
     if args.json:

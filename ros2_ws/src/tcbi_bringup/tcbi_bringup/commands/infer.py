@@ -111,7 +111,7 @@ def _setting(text: str) -> tuple[str, float]:
 def run(args: argparse.Namespace) -> int:
     """Read, infer, save, print."""
     from tcbi_infer import posterior
-    from tcbi_infer.report import Report, add_inference
+    from tcbi_infer.report import Report, add_inference, add_kept_ladder
     from tcbi_infer.tcbi.driver import infer
     from tcbi_infer.tcbi.method import find_method
     from tcbi_infer.tcbi.problem import Problem
@@ -155,6 +155,7 @@ def run(args: argparse.Namespace) -> int:
         console.note(line)
     advice = _advice(problem, result) if args.advise else None
     report = Report(f"What {saved.version} knows", f"Posterior of {model.version}, inferred by {method.name}.")
+    add_kept_ladder(report, model, store.history(model.rig))
     add_inference(report, result, method, truth, advice)
     path = report.write(args.report or store.models / saved.version / "inference.html")
     if args.json:

@@ -11,10 +11,11 @@ from tcbi_bringup.errors import WrongCallError
 UNITS = {
     **{"cpu_s": "s", "mean_return": "points", "sd_return": "points"},
     **{"final_inclination_deg": "deg", "distance_m": "m", "median_distance_m": "m"},
-    **{"over_blocks": "rollouts", "foot_over_blocks": "rollouts"},
+    **{"over_blocks": "rollouts", "foot_over_blocks": "rollouts", "past_blocks_share": "share", "past_blocks_s": "s"},
     **{"distance_over_blocks_m": "m", "distance_not_over_blocks_m": "m"},
 }
 POINTS = "return: points of the task's reward, summed over an episode; docs/policies.md says what each is given for"
+ROLLOUTS, SEED = 64, 1
 SUMMARY = "List the policies, show one's card, measure it in simulations drawn from a model, or export it."
 
 
@@ -26,10 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     console.add_task(parser, ": where to measure it (default: the one that it was trained for)")
     console.add_model(parser, "model version whose parameters are drawn")
-    parser.add_argument(
-        "--rollouts", type=at_least(1), default=64, help="how many rollouts to measure with (default: 64)"
-    )
-    parser.add_argument("--seed", type=at_least(0), default=1, help="of parameters and scenarios (default: 1)")
+    parser.set_defaults(model=None)  # so that it is seen that none was given
+    parser.add_argument("--rollouts", type=at_least(1), help=f"how many rollouts to measure with (default: {ROLLOUTS})")
+    parser.add_argument("--seed", type=at_least(0), help=f"of parameters and scenarios (default: {SEED})")
     parser.add_argument(
         "--onnx", type=Path, metavar="FILE", help="write the network, scaling included, as an ONNX model"
     )
@@ -50,6 +50,9 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
+    for option in ("task", "model", "rollouts", "seed"):
+        if getattr(args, option) not in (None, "") and not args.measure:
+            raise WrongCallError(f"--{option}: got it without --measure, which alone looks at it; add --measure")
     if not args.policy:
         if args.onnx or args.measure:
             raise WrongCallError("--onnx and --measure: got no policy; name one that ./tcbi policy lists")
@@ -124,10 +127,12 @@ def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any
     from tcbi_policy.artefact import Policy
     from tcbi_policy.errors import PolicyError
     from tcbi_policy.evaluation import draw_conditions, evaluate
+    from tcbi_sim.store import LATEST
 
     task = args.task or (policy.card.task if isinstance(policy, Policy) else "")
     if not task:
         raise PolicyError(f"{policy.policy_id} belongs to no task; say --task balance or --task forward")
-    model = console.load_model(store, args.model)
-    found = evaluate(policy, model, draw_conditions(model, task, args.rollouts, args.seed)).summary()
+    model = console.load_model(store, args.model or LATEST)
+    rollouts, seed = args.rollouts or ROLLOUTS, SEED if args.seed is None else args.seed
+    found = evaluate(policy, model, draw_conditions(model, task, rollouts, seed)).summary()
     return {"task": task, "model": model.version, **found}

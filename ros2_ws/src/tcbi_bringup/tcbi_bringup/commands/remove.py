@@ -31,7 +31,7 @@ all other parameters. Those that had been fitted beside the effect are named: wi
 def run(args: argparse.Namespace) -> int:
     """Marginalise, save the version, report, print."""
     from tcbi_infer.compare.versions import compare_versions, marginal_evidence
-    from tcbi_infer.report import Report, add_difference
+    from tcbi_infer.report import Report, add_difference, add_kept_ladder
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
@@ -40,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
     (use,) = set(parent.effects) - set(child.effects)
     saved = store.save(dataclasses.replace(child, evidence=marginal_evidence(parent, use)))
     report = Report(f"{saved.version}: {parent.version} without {use}", saved.evidence["statement"])
+    add_kept_ladder(report, parent, store.history(parent.rig))
     add_difference(report, compare_versions(parent, saved))
     path = report.write(args.report or store.folder("reports") / f"remove-{saved.version}.html")
     if args.json:

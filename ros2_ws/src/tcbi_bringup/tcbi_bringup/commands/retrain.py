@@ -22,8 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps", type=at_least(1), default=0, help="control steps of all simulations together (default: the preset's)"
     )
     parser.add_argument(
-        "--budget", type=above(0.0), default=0.0, metavar="SECONDS", help="stop training after this time, too"
-    )
+        "--budget", type=above(0.0), default=0.0, metavar="SECONDS",
+        help="train for this time instead of for the preset's steps; with --steps, for whichever is over first",
+    )  # fmt: skip
     console.add_store(parser)
     console.add_json(parser)
     console.add_examples(

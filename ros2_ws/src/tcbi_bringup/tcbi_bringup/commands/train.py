@@ -27,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--steps", type=at_least(1), default=0, help="control steps of all simulations together (default: the preset's)"
     )
-    parser.add_argument("--budget", type=above(0.0), default=0.0, metavar="SECONDS", help="stop after this time, too")
+    parser.add_argument(
+        "--budget", type=above(0.0), default=0.0, metavar="SECONDS",
+        help="train for this time instead of for the preset's steps; with --steps, for whichever is over first",
+    )  # fmt: skip
     parser.add_argument(
         "--prior", action="store_true", help="draw from the prior of the model's parameters, not from its posterior"
     )
@@ -55,7 +58,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, and keep the result."""
-    from tcbi_policy.retraining import next_name
     from tcbi_policy.runs import TrainingProcess, write_run
     from tcbi_sim.store import ModelStore
 
@@ -70,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         for event in process.events():
             follow(event, advance)
             done = event if event["event"] == "done" else done
-    path = _publish(folder, args.out or next_name(store.root, args.task), store.root)
+    path = _publish(folder, args.out, store.root)
     result = {"policy": str(path), "policy_id": f"{path.stem}@{done['policy_id'].partition('@')[2]}", "task": args.task,
               "model": planned.model, "steps": done["steps"], "mean_return": done["mean_return"],
               "seconds": done["elapsed_s"], "cpu_seconds": done["cpu_s"]}  # fmt: skip
@@ -108,7 +110,7 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
         if isinstance(start, Policy):
             check_start(config, start)
         changes |= randomisation_of(start, args.task, model)
-    changes["steps"] = args.steps or config.steps
+    changes["steps"] = args.steps or (0 if args.budget else config.steps)
     given = {"effects": args.effect and tuple(args.effect), "observation_noise": args.noise}
     changes |= {name: value for name, value in given.items() if value is not None}
     config = dataclasses.replace(config, **changes).checked()
@@ -121,19 +123,23 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
 def _publish(folder: Path, out: str, root: Path) -> Path:
     """Keep the policy under a name in the store or as a file, and what was logged; the run's folder is then done with.
 
-    What was logged moves to `tensorboard/NAME` of the store, or beside the file as `NAME.tensorboard`.
+    Without a name it gets the next free one of its task. What was logged moves to `tensorboard/NAME` of the store, or
+    beside the file as `NAME.tensorboard`.
 
     Raises:
       BringupError: what was logged cannot be copied there; the policy is kept.
     """
     import shutil
 
-    from tcbi_policy.artefact import load_policy, save_policy
+    from tcbi_policy.artefact import load_policy, locked, save_policy
+    from tcbi_policy.retraining import next_name
 
     to_file = out.endswith(".safetensors") or os.sep in out
-    stem = Path(out.removesuffix(".safetensors")).expanduser() if to_file else root / "policies" / out
     trained = load_policy(folder / "policy.safetensors")
-    path = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name)).path
+    with locked(root / "policies"):
+        named = out or next_name(root, trained.card.task)
+        stem = Path(out.removesuffix(".safetensors")).expanduser() if to_file else root / "policies" / named
+        path = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name)).path
     assert path is not None
     logged = stem.with_name(f"{stem.name}.tensorboard") if to_file else root / "tensorboard" / stem.name
     shutil.rmtree(logged, ignore_errors=True)
@@ -159,7 +165,8 @@ def follow(event: dict[str, Any], advance: Any) -> None:
     kind = event["event"]
     if kind == "progress":
         left_s = event["remaining_s"]
-        note = f"{event['steps']} of {event['total_steps']} steps, mean return {_known(event['mean_return']):.0f}"
+        total = f" of {event['total_steps']}" if event["total_steps"] else ""
+        note = f"{event['steps']}{total} steps, mean return {_known(event['mean_return']):.0f}"
         advance(done=event["share"], left_s=math.nan if left_s is None else left_s, note=note)
     elif kind == "comparing":
         advance(

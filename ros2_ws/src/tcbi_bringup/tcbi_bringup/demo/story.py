@@ -175,13 +175,7 @@ class Story:
         self.out.inference = result
         saved = posterior.save(store, result)
         self.out.models.append(saved)
-        told = [f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in result.estimates if e.identified]
-        nothing = "the data narrow no parameter"
-        if result.ess < LEAST_ESS or result.fits is None:
-            nothing = "too few simulations to tell"
-        elif not result.fits:
-            told, nothing = [], "the model fits the data too poorly to tell its parameters"
-        self.say(f"{saved.version}: {'; '.join(told) or nothing}")
+        self.say(f"{saved.version}: {_told(result)}")
         return saved
 
     def retrain(self, model: Model) -> None:
@@ -324,3 +318,14 @@ def mean_return(measurements: list[Measurement]) -> float:
 def tilt(measurements: list[Measurement]) -> float:
     """Mean final inclination in degrees."""
     return float(np.mean([np.degrees(inclination(m.attitude[-1])) for m in measurements if m.attitude is not None]))
+
+
+def _told(found: Result) -> str:
+    """The parameters with their 90 % intervals, and which of them the task's rollouts narrow."""
+    if found.ess < LEAST_ESS or found.fits is None:
+        return "too few simulations to tell"
+    if not found.fits:
+        return "the model fits the data too poorly to tell its parameters"
+    values = "; ".join(f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in found.estimates)
+    narrower = ", ".join(e.name for e in found.estimates if e.identified)
+    return f"{values}; the task's rollouts narrow {narrower or 'none of them beyond what was known'}"

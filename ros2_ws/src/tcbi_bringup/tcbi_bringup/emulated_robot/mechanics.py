@@ -18,7 +18,7 @@ STEP_S = 5e-4
 GRAVITY = 9.81
 CONTACT = {"solref": "-20000 -200", "solimp": "0.95 0.99 0.0005 0.5 2"}
 IMPRATIO = 200
-TURNING_FRICTION = (0.003, 0.0001)  # m, torsion and rolling
+ROLLING_FRICTION = 0.0001  # m
 HORN_STOP = 1.05  # of the joint range, where the mechanical stop is
 SLIMMER = 0.8  # of the drawn link radius, so that the rubber cap and not the link's end meets the ground
 
@@ -106,7 +106,8 @@ def _document(drawing: Drawing, character: Character, build: Build, scene: Scene
     default = _add(root, "default")
     stop = HORN_STOP * drawing.joint_range
     _add(default, "joint", damping=build.joint_damping, armature=build.joint_armature, range=(-stop, stop))
-    _add(default, "geom", condim="4", friction=(character.friction, *TURNING_FRICTION), **build.contact)
+    friction = (character.friction, character.turning, ROLLING_FRICTION)
+    _add(default, "geom", condim="4", friction=friction, **build.contact)
     world = _add(root, "worldbody")
     _ground(world, scene)
     trunk = _trunk(world, drawing, character, build)

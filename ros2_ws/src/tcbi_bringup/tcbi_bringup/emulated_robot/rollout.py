@@ -94,8 +94,12 @@ class EmulatedRobot:
         physics = Physics(self.specimen, trial)
         physics.place(scene, posture)
         physics.advance_to(settle)
-        feed = _ScriptFeed(commands) if isinstance(commands, Script) else _ControllerFeed(commands, trial)
-        return _record(physics, feed, settle, duration, np.random.default_rng([self.specimen.seed, 5, trial]))
+        feed = _ScriptFeed(commands) if isinstance(commands, Script) else _ControllerFeed(commands, self._rng(6, trial))
+        return _record(physics, feed, settle, duration, self._rng(5, trial))
+
+    def _rng(self, stream: int, trial: int) -> np.random.Generator:
+        """One of this robot's streams in a trial; those up to 4 make the robot and its sensors."""
+        return np.random.default_rng([self.specimen.seed, stream, trial])
 
 
 class _ScriptFeed:
@@ -117,8 +121,8 @@ class _ScriptFeed:
 
 
 class _ControllerFeed:
-    def __init__(self, controller: Controller, trial: int):
-        controller.reset(1, np.random.default_rng(trial))
+    def __init__(self, controller: Controller, rng: np.random.Generator):
+        controller.reset(1, rng)
         self._controller, self.ramp, self._tick = controller, RAMP_S, 0
         self._yaw0: float | None = None
 

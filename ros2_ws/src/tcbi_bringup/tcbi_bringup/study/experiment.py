@@ -40,10 +40,11 @@ from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.rollouts import sensor_noise
 from tcbi_policy.artefact import Policy, find_policy, replace_file, save_policy
-from tcbi_policy.configuration import preset
+from tcbi_policy.configuration import TrainingConfig, preset
 from tcbi_policy.environment import TIMESTEP_S
 from tcbi_policy.retraining import fine_tuning
 from tcbi_policy.reward import episode_reward, inclination, simulated_rewards
+from tcbi_policy.runs import Run
 from tcbi_policy.training import Training
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Measurement, Scenario
@@ -178,9 +179,9 @@ class Experiment:
             threads=self.threads,
             evaluate_every=EVALUATE_EVERY,
         )
-        folder = self.store.folder("runs") / f"study-{task}-{robot}-{name}"
-        folder.mkdir(exist_ok=True)
-        training = Training(folder, config, self.store.load(found["model"]), start)
+        model = self.store.load(found["model"])
+        folder = self._run_folder(f"study-{robot}-{name}", config, model, plan.first_policy)
+        training = Training(folder, config, model, start)
         trained = training.run()
         stem = self.store.root / "policies" / f"{task}-{robot}-{name}"
         policy = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name))
@@ -254,6 +255,20 @@ class Experiment:
         found = self._inferred(task, robot, name)
         trained = self._needed("policy", "train", task, robot, name)
         return str(self.folder / trained["policy"]), self.store.load(found["model"])
+
+    def _run_folder(self, purpose: str, config: TrainingConfig, model: Model, start: str) -> Path:
+        """Where a training goes on from: another one for another configuration, model or code, and the old one goes.
+
+        Neither the number of threads nor where the study lies makes a difference.
+        """
+        run = Run.of(dataclasses.replace(config, threads=0), model, self.store.root, start)
+        runs, name = self.store.folder("runs"), dataclasses.replace(run, store="").key(purpose)
+        for stale in runs.glob(f"{purpose}-{config.task}-*"):
+            if stale.name != name:
+                shutil.rmtree(stale)
+        folder = runs / name
+        folder.mkdir(exist_ok=True)
+        return folder
 
     def _rollouts_of(self, task: str, robot: int) -> Path:
         return self.folder / "rollouts" / f"{task}-{robot}"

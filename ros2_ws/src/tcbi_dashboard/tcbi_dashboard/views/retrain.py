@@ -30,8 +30,9 @@ class RetrainCard:
         with card("Retrain the policy"):
             soft(
                 "The successor trains on draws from the posterior of the model chosen above. It is kept only if it is "
-                "better, with 95 % confidence, on draws that the training has not seen. A training that was cancelled "
-                "goes on where it stopped when the same is asked for again."
+                "better, with 97.5 % confidence at the first attempt and more at each further one, on draws that the "
+                "training has not seen. A training that was cancelled goes on where it stopped when the same is asked "
+                "for again with the same code."
             )
             with ui.element("div").classes("tcbi-row"):
                 self.task = ui.select(TASKS, value=TASKS[0], label="task", on_change=self._policies)
