@@ -144,8 +144,9 @@ import sys
 from pathlib import Path
 from tcbi_setup import __main__ as setup, progress
 folder = Path(sys.argv[1])
+one_process = "import os, time; open('begun', 'w').write(str(os.getpid())); os.rename('begun', 'pid'); time.sleep(60)"
 setup.STATE, progress.LOG = folder, folder / "log"
-setup.set_up = lambda _: progress.run("waiting", ["sh", "-c", "echo $$ >begun; mv begun pid; exec sleep 60"], {}, "")
+setup.set_up = lambda _: progress.run("waiting", [sys.executable, "-c", one_process], {}, "")
 progress.ROOT = folder
 sys.exit(setup.main())
 """
