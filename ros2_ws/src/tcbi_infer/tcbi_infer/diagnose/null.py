@@ -119,8 +119,8 @@ def simulate_null(
       rng: of the draws.
       draws: number of null data sets.
     """
-    kinds = np.unique(problem.kind[sets], return_inverse=True)[1]
-    patterns = sign_patterns(int(kinds.max()) + 1, draws, rng)
+    numbers, kinds = np.unique(problem.kind[sets], return_inverse=True)
+    patterns = sign_patterns(len(numbers), draws, rng)
     maxima: list[float] = []
     parts: list[Targets] = []
     scales: list[np.ndarray] = []
