@@ -18,10 +18,14 @@ BASE = np.array([0.5, 0.5])
 
 
 class Fake:
-    """A fitter of one use, or of the base model; notes in `calls` what it was asked."""
+    """A fitter of one use, or of the base model; notes in `calls` what it was asked.
+
+    Fits end at `losses`; before them, a few sets lose as much, unless `few` says how much.
+    """
 
     calls: list[tuple[str, str]]
     losses: dict[str, float]
+    few: dict[str, float]
     starts: dict[str, np.ndarray]
 
     def __init__(self, problem: Any, model: str, *_: Any) -> None:
@@ -38,19 +42,19 @@ class Fake:
         return np.atleast_2d(starts)
 
     def start_losses(self, predicted: np.ndarray, _: Any) -> list[float]:
-        return [self.losses[self.model]] * len(predicted)
+        return [self.few.get(self.model, self.losses[self.model])] * len(predicted)
 
     def run(self, starts: np.ndarray, steps: Sequence[float] = ()) -> Any:
         self.starts[self.model] = starts
-        return fitted(self.losses[self.model])
+        return fitted(self.model, self.losses[self.model])
 
     def escape(self, fit: Any, *_: Any) -> Any:
         self.calls.append(("escape", self.model))
         return fit
 
 
-def fitted(loss: float) -> Any:
-    return SimpleNamespace(total=loss, loss=np.array([loss]), unit=np.r_[BASE, 0.3], nuisance=np.zeros(1))
+def fitted(model: str, loss: float) -> Any:
+    return SimpleNamespace(model=model, total=loss, unit=np.r_[BASE, 0.3], nuisance=np.zeros(1))
 
 
 @pytest.fixture
@@ -58,7 +62,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A search among uses of which each fit ends at a loss that a test wants, and the calls that it makes."""
 
     def make(losses: dict[str, float]) -> tuple[Search, list[tuple[str, str]]]:
-        Fake.calls, Fake.losses, Fake.starts = [], {"base": BASE_LOSS, **losses}, {}
+        Fake.calls, Fake.losses, Fake.few, Fake.starts = [], {"base": BASE_LOSS, **losses}, {}, {}
 
         def starts(screen: Any, data: Any, use: int, base: Any, fitter: Fake) -> np.ndarray:
             Fake.calls.append(("starts", fitter.model))
@@ -103,11 +107,21 @@ def test_starts_far_from_the_base_fit_are_looked_for_once(made):
 
 def test_who_gains_a_hundredth_of_the_best_one_gets_neither_an_escape_nor_fine_steps(made):
     looked, calls = made({"best": 100.0, "poor": 991.0, "fair": 700.0})
+    Fake.few = {"poor": 500.0}
     fits = looked.fit([0], (0.5, 0.7))
     assert asked(calls, "escape") == asked(calls, "fine") == ["best"]
     later = looked.fit([1, 2], (0.7, 0.8), fits)
     assert list(later) == [2]
     assert asked(calls, "escape") == ["best"] and asked(calls, "fine") == ["best", "fair"]
+
+
+def test_who_gains_nothing_on_a_few_sets_is_not_fitted_to_all(made):
+    looked, _ = made({"best": 100.0, "poor": 991.0, "fair": 700.0})
+    assert list(looked.fit([0, 1, 2], (0.5, 0.7))) == [0, 2]
+    assert list(Fake.starts) == ["best", "fair"]
+    little, _ = made({"best": 995.0, "next": 999.5})
+    assert list(little.fit([0, 1], (0.5, 0.7))) == [0], "too little to tell from a few sets"
+    assert list(Fake.starts) == ["best", "next"]
 
 
 def test_who_leads_over_all_that_was_fitted_looks_for_other_valleys(made):
@@ -120,10 +134,26 @@ def test_who_leads_over_all_that_was_fitted_looks_for_other_valleys(made):
 def test_a_nuisance_is_no_rival(made):
     uses = ["weak_leg:lf", "gain_scatter:lf_coxa", "gain_scatter:rf_coxa", "joint_offset:lf_coxa"]
     looked, calls = made(dict.fromkeys(uses, 100.0))
-    rivals = looked.rivals({0: (fitted(100.0), fitted(100.0))})
-    assert asked(calls, "predict") == ["base", "gain_scatter:rf_coxa", "joint_offset:lf_coxa"]
+    leader = fitted(uses[0], 100.0)
+    rivals = looked.rivals({0: (leader, leader)})
+    assert asked(calls, "predict") == ["base", "weak_leg:lf", "gain_scatter:rf_coxa", "joint_offset:lf_coxa"]
     assert list(rivals) == [2, 3]
     assert rivals[2].tolist() == [[*BASE, search.RIVAL_SIZES[0]], [0.1, 0.2, 2]]
+
+
+@pytest.mark.parametrize(("own", "found"), [(3000.0, [1]), (500.0, [])])
+def test_a_rival_explains_more_than_the_base_model_by_itself(made, monkeypatch, own, found):
+    looked, _ = made({"leader": 100.0, "other": 900.0})
+    leader = SimpleNamespace(**{**vars(fitted("leader", 100.0)), "unit": np.array([0.9, 0.9, 0.3])})
+
+    def losses(self: Fake, predicted: np.ndarray, _: Any) -> list[float]:
+        if self.model == "base":
+            return [4000.0 if np.allclose(unit, 0.9) else own for unit in predicted]
+        assert np.allclose(predicted[:, :2], 0.9), "in the leader's place"
+        return [Fake.losses[self.model]] * len(predicted)
+
+    monkeypatch.setattr(Fake, "start_losses", losses)
+    assert list(looked.rivals({0: (leader, leader)})) == found
 
 
 class TwoValleys:
@@ -178,8 +208,8 @@ def test_one_kind_of_motion_that_went_otherwise_costs_no_effect_its_fit(made):
 def test_a_quick_search_looks_for_another_valley_only_when_asked_to(made, monkeypatch, loss, better):
     looked, _ = made({"best": 100.0, "elsewhere": 60.0})
     looked = dataclasses.replace(looked, settings=QUICK)
-    fit = SimpleNamespace(**vars(fitted(100.0)), model="best")
+    fit = fitted("best", 100.0)
     fits = {0: (fit, fit)}
-    monkeypatch.setattr(Fake, "escape", lambda self, fit, *_: fitted(loss) if loss < fit.total else fit)
+    monkeypatch.setattr(Fake, "escape", lambda self, fit, *_: fitted("best", loss) if loss < fit.total else fit)
     assert list(looked.elsewhere(fits)) == better
     assert dataclasses.replace(looked, settings=Settings()).elsewhere(fits) == {}, "it has looked there already"

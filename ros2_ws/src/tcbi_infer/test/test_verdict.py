@@ -82,7 +82,13 @@ def test_candidates_whose_gains_are_alike_are_both_named_as_possible():
 
 
 def test_a_candidate_that_predicts_every_motion_worse_is_no_rival():
-    assert ruled(evidence("backlash"), evidence("payload", [g - 20 for g in GAINS])).verdict == EFFECT
+    assert ruled(evidence("backlash"), evidence("payload", [g - 20 for g in GAINS], after=1.6)).verdict == EFFECT
+
+
+@pytest.mark.parametrize(("after", "count", "verdict"), [(1.57, 1, CANNOT_TELL), (1.59, 1, EFFECT), (1.57, 2, EFFECT)])
+def test_a_gain_that_hardly_lowers_the_error_tells_no_effect_from_another(after, count, verdict):
+    other = evidence("command_latency", [g - 5 for g in GAINS], after=after, count=count)
+    assert ruled(evidence("sensor_latency"), other).verdict == verdict
 
 
 def test_two_effects_that_change_the_signals_alike_are_not_told_apart_however_steady_the_difference():
@@ -99,8 +105,9 @@ def test_a_law_with_more_parameters_that_looks_the_same_and_gains_nothing_is_no_
 
 def test_a_richer_law_that_predicts_every_motion_better_is_named_alone():
     plain = evidence("coulomb_friction", alike=("stribeck_friction",))
-    richer = evidence("stribeck_friction", [g + 20 for g in GAINS], count=3, alike=("coulomb_friction",))
+    richer = evidence("stribeck_friction", [g + 20 for g in GAINS], 1.4, count=3, alike=("coulomb_friction",))
     assert ruled(plain, richer).uses == ("stribeck_friction",)
+    assert ruled(plain, dataclasses.replace(richer, error_after=1.45)).uses == ("stribeck_friction", "coulomb_friction")
 
 
 @pytest.mark.parametrize(

@@ -31,9 +31,9 @@ class Noise:
     encoder_step: float = 0.0  # rad
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rig:
-    """A robot or test bench and what is known of it before any data."""
+    """A robot or test bench and what is known of it before any data. Equal to itself alone, as its functions are."""
 
     name: str
     joint_names: tuple[str, ...]

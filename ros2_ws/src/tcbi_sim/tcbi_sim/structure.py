@@ -1,5 +1,7 @@
 """The MuJoCo model of a rig with the structural changes of effects: compiled once, before any simulation."""
 
+import copy
+import functools
 from collections.abc import Sequence
 
 import mujoco
@@ -17,11 +19,16 @@ def silence_mujoco() -> None:
 
 
 def compile_structure(rig: Rig, uses: Sequence[EffectUse], blocks: int = 0) -> mujoco.MjModel:
-    """The MuJoCo model of a rig with the structural changes of some effects, at nominal parameters.
+    """The MuJoCo model of a rig with the structural changes of some effects, at nominal parameters; the caller's own.
 
     Raises:
       SimError: MuJoCo refuses what an effect has changed.
     """
+    return copy.copy(_compiled(rig, tuple(uses), blocks))
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(rig: Rig, uses: tuple[EffectUse, ...], blocks: int) -> mujoco.MjModel:
     try:
         return edited_spec(rig, uses, blocks).compile()
     except ValueError as e:

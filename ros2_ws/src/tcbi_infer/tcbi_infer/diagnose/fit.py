@@ -27,6 +27,7 @@ WORTH = 0.03  # of the loss: a far point that is lower by less is not followed
 RACE = (0.08, 0.08, 0.05, 0.05)  # steps of their finite differences
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
+ROUGH_STEP = 0.01  # s at most, of the simulations that do
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
@@ -35,7 +36,7 @@ CLOSE = (0.03, 0.03, 0.03)  # of a range, where slopes are taken once more,
 ROUNDS = 8  # and again until the loss stays: nearly all do so within six
 POLISH_STRETCH = (0.4,)
 REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
-FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
+FINE_STEP = 0.05  # of a range: slopes over wider steps never end a fit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,8 +130,9 @@ class Fitter:
         return np.unique(np.linspace(0, len(self.sets) - 1, FEW_SETS).astype(int))
 
     def on_few_sets(self) -> "Fitter":
-        """A fitter of these alone."""
-        return Fitter(self.problem, self.model, self.nuisance, self.sets[self.few_positions()], self.timestep)
+        """A fitter of these alone, with rough time steps: it says where to go on, and no more."""
+        step = max(self.timestep, ROUGH_STEP)
+        return Fitter(self.problem, self.model, self.nuisance, self.sets[self.few_positions()], step)
 
     def predict(self, unit: np.ndarray) -> np.ndarray:
         """(N, P) unit vectors -> (N, open sets, T, C)."""
@@ -197,6 +199,7 @@ class Fitter:
         steps: Sequence[float] = STEPS,
         stretch: Sequence[float] = STRETCH,
         known: tuple[np.ndarray, np.ndarray] | None = None,
+        predicted: np.ndarray | None = None,
     ) -> Fit:
         """Fits from the best of (N, P) starting points, until it converges or the steps are used up.
 
@@ -207,9 +210,12 @@ class Fitter:
           stretch: other multiples of each step: a longer one is tried where the loss falls as the slopes promise
             (these count less where they bend, so steps are short), a shorter one where it does not.
           known: slopes and bends from elsewhere, which then serve for all iterations.
+          predicted: (open sets, T, C) from a single start, where that is known.
         """
         delta = np.zeros(self.nuisance.effect.shape[-1]) if nuisance is None else nuisance.copy()
-        unit, predicted = self.best_start(np.atleast_2d(starts), delta)
+        unit = np.asarray(starts, float)[0]
+        if predicted is None:
+            unit, predicted = self.best_start(starts, delta)
         residual = self.residual(predicted, delta)
         scale = self.scales(residual)
         converged = False
@@ -281,7 +287,7 @@ class Fitter:
         fine = self.run(fit.unit[None], fit.nuisance, POLISH, POLISH_STRETCH, known=(fit.jacobian, fit.bend))
         for _ in range(ROUNDS):
             before = fine.total
-            fine = self.run(fine.unit[None], fine.nuisance, CLOSE, POLISH_STRETCH)
+            fine = self.run(fine.unit[None], fine.nuisance, CLOSE, POLISH_STRETCH, predicted=fine.predicted)
             if not fine.total < np.inf or before - fine.total < max(SMALL_GAIN, SMALL_SHARE * abs(before)):
                 return fine
         return dataclasses.replace(fine, converged=False)

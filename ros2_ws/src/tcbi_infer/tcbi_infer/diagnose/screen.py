@@ -22,6 +22,7 @@ from tcbi_sim.workers import Here, present
 SIZES = (0.1, 0.35)  # of the range on one side of the null value
 CORNERS = (0.2, 0.8)  # of the range of a parameter without a null value
 ONE_SIZE = 0.2  # where one effect has many places
+NO_ROOM = 0.05  # of a range
 SCREENED_SCATTER = 6.0  # standard deviations of the scatter between joints: one odd joint
 MOST_STRETCH = 1.6  # of a direction beyond the simulated size
 INFLUENCE = 0.15  # of the noise floor: less than this at every size is no influence
@@ -55,7 +56,8 @@ def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
 
     Two sizes of each parameter that has a null value, and all of them together; those that have none, and say where or
     how, stand at their nominal values and at the corners of their ranges. A single point for an effect with one
-    parameter and many places, where the straight line through it has to do.
+    parameter and many places, where the straight line through it has to do; and one size each way of a tilt or a bias,
+    whose null value lies inside its range, among several parameters: such an effect has no threshold.
     """
     own = model.parameters[base_count:]
     nominal = np.array([float(p.to_unit(p.nominal)) for p in own])
@@ -69,10 +71,10 @@ def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
     places = [rest[placed], *map(np.array, corners)]
     points = []
     for i in sized:
-        for sign, room in ((1, 1 - null[i]), (-1, null[i])):
-            if room < 0.05:
-                continue
-            for size, place in itertools.product(SIZES, places):
+        ways = [(sign, room) for sign, room in ((1, 1 - null[i]), (-1, null[i])) if room >= NO_ROOM]
+        sizes = SIZES if len(ways) == 1 or len(own) == 1 else SIZES[-1:]
+        for sign, room in ways:
+            for size, place in itertools.product(sizes, places):
                 point = rest.copy()
                 point[placed] = place
                 point[i] = null[i] + sign * size * room
@@ -80,7 +82,8 @@ def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
     for ends in itertools.product((0.0, 1.0), repeat=len(sized)) if len(sized) > 1 else ():
         point = rest.copy()
         point[sized] += SIZES[-1] * (np.array(ends) - point[sized])
-        points.append(point)
+        if not np.allclose(point[sized], null[sized]):
+            points.append(point)
     return np.unique(points, axis=0)
 
 

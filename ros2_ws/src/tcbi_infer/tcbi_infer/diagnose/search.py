@@ -14,9 +14,11 @@ from tcbi_infer.diagnose.starts import start_points
 from tcbi_sim.model import Model
 
 RIVAL_SIZES = (0.08, 0.16, 0.3, 0.5)  # of an effect's range
-RIVAL = 1 / 2  # of what the best effect explains of a few sets: one that explains as much in its place is worth a fit
+RIVAL = 1 / 2  # of what the best effect explains of a few sets: one that explains as much in its place is worth a fit,
+# if it explains more than the base model's own fit does without it
 LEAST_WORTH = 10.0  # nats: who explains less has no rivals to look for
-HOPELESS = 0.2  # of the best candidate's gain: one that gains less with coarse steps gets no fine ones
+HOPELESS = 0.2  # of the best candidate's gain: one that gains less with coarse steps gets no fine ones,
+UNPROMISING = 0.1  # and one that starts with less on a few sets no coarse ones
 Fits = dict[int, tuple[Fit, Fit]]  # of a use, by its number: with coarse and with fine steps
 Progress = Callable[[str, float], None]  # stage, share done
 
@@ -87,7 +89,7 @@ class Search:
         Returns:
           Uses, each with (n, P) starts.
         """
-        seen = {_effect(self.names[u]) for u in fits}
+        seen, none = {_effect(self.names[u]) for u in fits}, np.zeros(self.nuisance.effect.shape[-1])
         losses: dict[int, float] = {}
         starts: dict[int, np.ndarray] = {}
         for u in map(int, np.argsort(-self.worth)):
@@ -97,8 +99,7 @@ class Search:
             seen.add(name)
             self.progress(f"looking for {self.names[u]} elsewhere", 0.75)
             starts[u] = self._starts(u)
-            few = self._fitter(self.screen.directions.models[u]).on_few_sets()
-            losses[u] = min(few.start_losses(few.predict(starts[u]), np.zeros(self.nuisance.effect.shape[-1])))
+            losses[u] = min(self._losses_on_few(self.screen.directions.models[u], starts[u], none))
         nearest = sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
         return {u: starts[u] for u in nearest}
 
@@ -117,23 +118,21 @@ class Search:
         leader = min(fits, key=lambda u: fits[u][0].total)
         best, anywhere = fits[leader][0], ":" in self.names[leader]
         known = best.unit[: len(self.base.unit)]
-        whole = self._fitter(self.base.model)
-        few, positions = whole.on_few_sets(), whole.few_positions()
-        (without,) = few.start_losses(few.predict(known), best.nuisance)
-        worth = without - float(best.loss[positions].sum())
-        if worth < LEAST_WORTH:
+        without, own = self._losses_on_few(self.base.model, np.array([known, self.base.unit]), best.nuisance)
+        (with_it,) = self._losses_on_few(best.model, best.unit, best.nuisance)
+        if without - with_it < LEAST_WORTH:
             return {}
+        most = min(own, without - RIVAL * (without - with_it))
         scatter = {f"gain_scatter:{joint}" for joint in self.nuisance.names}
         explained: dict[int, tuple[float, np.ndarray]] = {}
         for u, model in enumerate(self.screen.directions.models):
             if u in fits or (":" in self.names[u] and not anywhere) or self.names[u] in scatter:
                 continue
-            few = self._fitter(model).on_few_sets()
             sizes = self.screen.sized(self.data, u, RIVAL_SIZES, 1)
             starts = np.concatenate([np.repeat(known[None], len(sizes), axis=0), sizes], axis=1)
-            losses = few.start_losses(few.predict(starts), best.nuisance)
+            losses = self._losses_on_few(model, starts, best.nuisance)
             i = int(np.argmin(losses))
-            if without - losses[i] > RIVAL * worth:
+            if losses[i] < most:
                 explained[u] = losses[i], starts[i][None]
         nearest = sorted(explained, key=lambda u: explained[u][0])[: self.settings.per_effect]
         return {u: np.concatenate([explained[u][1], self._starts(u)]) for u in nearest}
@@ -150,12 +149,16 @@ class Search:
         """
         begin, end = shares
         least_loss = min((rough.total for rough, _ in (others or {}).values()), default=np.inf)
-        fitted: dict[int, tuple[Fitter, Fit]] = {}
+        starts: dict[int, np.ndarray] = {}
         for i, u in enumerate(uses):
-            self.progress(f"fitting {self.names[u]}", begin + (end - begin) * i / len(uses))
+            self.progress(f"looking where to fit {self.names[u]}", begin + (end - begin) / 2 * i / len(uses))
+            starts[u] = uses[u] if isinstance(uses, Mapping) else self._starts(u)
+        fitted: dict[int, tuple[Fitter, Fit]] = {}
+        promising = self._promising(starts, others or {})
+        for i, u in enumerate(promising):
+            self.progress(f"fitting {self.names[u]}", (begin + end + (end - begin) * i / len(promising)) / 2)
             fitter = self._fitter(self.screen.directions.models[u])
-            starts = uses[u] if isinstance(uses, Mapping) else self._starts(u)
-            fitted[u] = fitter, fitter.run(starts, steps=CLOSE_STEPS)
+            fitted[u] = fitter, fitter.run(starts[u], steps=CLOSE_STEPS)
         if self.settings.escape and fitted:
             u = min(fitted, key=lambda u: fitted[u][1].total)
             fitter, rough = fitted[u]
@@ -169,6 +172,24 @@ class Search:
             for u, (_, rough) in fitted.items()
             if gains[u] >= least
         }
+
+    def _promising(self, starts: Mapping[int, np.ndarray], others: Fits) -> list[int]:
+        """Uses whose (n, P) starts explain enough of a few sets to be fitted to all."""
+        gains = {u: self._gain_on_few(self.screen.directions.models[u], units) for u, units in starts.items()}
+        known = [self._gain_on_few(rough.model, rough.unit) for rough, _ in others.values()]
+        best = max([*gains.values(), *known], default=0.0)
+        return [u for u, gain in gains.items() if gain >= UNPROMISING * best or best < LEAST_WORTH]
+
+    def _gain_on_few(self, model: Model, units: np.ndarray) -> float:
+        """Nats that the best of (n, P) parameters of a model explains of a few sets beyond the base model's fit."""
+        none = np.zeros(self.nuisance.effect.shape[-1])
+        return min(self._losses_on_few(self.base.model, self.base.unit, none)) - min(
+            self._losses_on_few(model, units, none)
+        )
+
+    def _losses_on_few(self, model: Model, units: np.ndarray, nuisance: np.ndarray) -> list[float]:
+        few = self._fitter(model).on_few_sets()
+        return few.start_losses(few.predict(units), nuisance)
 
     def alike(self, uses: Sequence[int]) -> dict[str, tuple[str, ...]]:
         """By each use's name, the others that change the signals as it does."""

@@ -85,16 +85,18 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
 def indistinct(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
     """Accepted candidates that must be named with the best one.
 
-    Those that the gains cannot tell from it, except a richer law of the same look; and those that change the signals
-    alike, whatever the gains say: between these a discrepancy of the simulation decides, not the robot.
+    Those that the gains cannot tell from it, except a richer law of the same look; and those no richer that change the
+    signals alike, or leave as little error, whatever the gains say: between these a discrepancy of the simulation
+    decides, not the robot. What a gain must be worth to name an effect, it must be to tell it from another.
     """
     unclear = {r.use for r in rivals(best, others)}
-    return [
-        o
-        for o in others
-        if not _richer_twin(best, o)
-        and (o.use in unclear or (o.use in best.alike and len(o.parameters) == len(best.parameters)))
-    ]
+    return [o for o in others if not _richer_twin(best, o) and (o.use in unclear or _as_good(best, o))]
+
+
+def _as_good(best: Evidence, other: Evidence) -> bool:
+    count, own = len(other.parameters), len(best.parameters)
+    alike = other.use in best.alike and count == own
+    return alike or (count <= own and not _lowered(other.error_after, best.error_after))
 
 
 def better(best: Evidence, ranking: Sequence[Evidence]) -> list[Evidence]:
