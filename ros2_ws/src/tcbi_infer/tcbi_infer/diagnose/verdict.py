@@ -241,7 +241,7 @@ def _none_accepted(
     if misfit.total > WELL_PREDICTED:
         worst = max(misfit.by_kind, key=lambda name: misfit.by_kind[name])
         return Ruling(
-            NOTHING_MISSING,
+            CANNOT_TELL if misfit.badly_predicted > len(misfit.by_kind) / 2 else NOTHING_MISSING,
             (),
             f"No effect is named: {error}; in {misfit.badly_predicted} of {kinds} kinds of motion by more than "
             f"{WELL_PREDICTED:g}, most in {worst}, by {misfit.by_kind[worst]:.1f}. That is too few to say that the "
