@@ -36,7 +36,7 @@ CLOSE = (0.03, 0.03, 0.03)  # of a range, where slopes are taken once more,
 ROUNDS = 8  # and again until the loss stays: nearly all do so within six
 POLISH_STRETCH = (0.4,)
 REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
-FINE_STEP = 0.05  # of a range: slopes over wider steps never end a fit
+FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
 
 
 @dataclasses.dataclass(frozen=True)
