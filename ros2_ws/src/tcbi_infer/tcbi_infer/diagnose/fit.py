@@ -15,7 +15,7 @@ from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import Model
 
 STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
-CLOSE_STEPS = (0.05, 0.05, 0.03, 0.03, 0.03)  # from a good start; a fit that has converged ends before
+CLOSE_STEPS = (0.12, 0.08, 0.05, 0.03, 0.03)  # from a good start: narrow slopes alone stall where feet stick and slip
 STRETCH = (2.0, 0.4)  # of the Gauss-Newton step: the longer one where the whole step is good, else the shorter one
 GOOD = 0.5  # of the fall of the loss that the slopes promise
 TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with a step
