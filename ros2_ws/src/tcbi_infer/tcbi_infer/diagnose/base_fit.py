@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.diagnose.fit import CLOSE_STEPS, RACE, Fit, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import RACE, Fit, Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.search import Progress
@@ -56,16 +56,16 @@ def fit_base(
     progress("fitting the base model", 0.0)
     starts = base_starts(model)
     everything = Fitter(problem, model, Nuisance.none(problem), sets, settings.coarse)
-    near = everything.on_few_sets().run(starts, steps=(0.12, 0.1, 0.08, 0.06))
-    first = everything.run(np.concatenate([near.unit[None], starts[:KNOWN]]), steps=(0.06,))
+    near = everything.on_few_sets().run(starts, radii=(0.12, 0.08, 0.06))
+    first = everything.run(np.concatenate([near.unit[None], starts[:KNOWN]]), radii=(0.08,), most=1)
     full = np.zeros_like(problem.observed)
     full[sets] = first.residual
     problem = problem.with_autocorrelation(full)
     progress("fitting the base model", 0.12)
     nuisance = joint_scatter(problem, first, sets, settings.coarse)
     again = Fitter(problem, model, nuisance, sets, settings.coarse)
-    fit = again.run(first.unit[None], steps=CLOSE_STEPS)
-    return problem, again.escape(fit, len(model.parameters), CLOSE_STEPS) if settings.escape else fit, nuisance
+    fit = again.run(first.unit[None])
+    return problem, again.escape(fit, len(model.parameters)) if settings.escape else fit, nuisance
 
 
 def better_base(
@@ -98,7 +98,7 @@ def better_base(
     fitter = Fitter(problem, model, nuisance, sets, settings.coarse)
     if len(starts) > 1:
         few = fitter.on_few_sets()
-        starts = [min((few.run(start[None], steps=RACE) for start in starts), key=lambda f: f.total).unit]
-    found = fitter.run(starts[0][None], steps=CLOSE_STEPS)
+        starts = [min((few.run(start[None], radii=RACE) for start in starts), key=lambda f: f.total).unit]
+    found = fitter.run(starts[0][None])
     gained = base.total - min(fit.total for fit in candidates)
     return found if base.total - found.total > max(BETTER, BETTER_SHARE * gained) else None

@@ -12,10 +12,11 @@ import numpy as np
 
 from tcbi_infer.compare.replicates import Replicates
 from tcbi_infer.diagnose.evidence import DetectableSize, NextMotion
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, probe, straight
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.motions import Motion
 from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.slopes import probe, straight
 
 STEP = 0.05  # of a range, of the finite differences
 FARTHEST = 0.25  # of a range, that a refit may go

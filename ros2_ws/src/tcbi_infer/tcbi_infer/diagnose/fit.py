@@ -1,7 +1,7 @@
 """Robust Gauss-Newton in unit space: every trial vector of a step is one batch of simulations.
 
-Where a foot may stick or slip, a prediction hardly depends smoothly on the parameters. So slopes are central
-differences over a wide step, and a sample whose prediction departs from a straight line there counts less in the step.
+Where a foot may stick or slip, a prediction hardly depends smoothly on the parameters. So slopes are those of
+a straight line through simulations far around, and a sample whose prediction departs from it counts less in the step.
 Scatter between joints of the same make is real but is no missing effect: it enters as linear nuisances with a prior.
 """
 
@@ -12,31 +12,29 @@ import numpy as np
 
 from tcbi_infer.diagnose.least_squares import bounded_step, gram
 from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.slopes import Slopes, unbroken
 from tcbi_sim.model import Model
 
-STEPS = (0.12, 0.08, 0.05, 0.03, 0.02)  # of a parameter's range, one for each iteration
-CLOSE_STEPS = (0.12, 0.08, 0.05, 0.03, 0.03)  # from a good start: narrow slopes alone stall where feet stick and slip
+RADII = (0.12, 0.08)  # of a parameter's range: narrow slopes alone stall where feet stick and slip
+MOST = 2  # steps at each
 STRETCH = (2.0, 0.4)  # of the Gauss-Newton step: the longer one where the whole step is good, else the shorter one
 GOOD = 0.5  # of the fall of the loss that the slopes promise
 TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with a step
-TOGETHER_STEP = 0.04  # of a range: only while the steps are as wide as this
+TOGETHER_RADIUS = 0.08  # of a range: only while the slopes are as wide as this
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
 SCALINGS = (0.5, 0.7, 1.4, 2.0)  # of all forces and masses, to others
 RACERS = 2  # far points that are fitted a little on few sets before one is chosen
 WORTH = 0.03  # of the loss: a far point that is lower by less is not followed
-RACE = (0.08, 0.08, 0.05, 0.05)  # steps of their finite differences
+RACE = (0.08, 0.05)  # radii of these fits
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
 ROUGH_STEP = 0.01  # s at most, of the simulations that do
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
-POLISH = (0.02, 0.02, 0.02)  # with known slopes their sizes say only that they may end the fit
-CLOSE = (0.03, 0.03, 0.03)  # of a range, where slopes are taken once more,
-ROUNDS = 8  # and again until the loss stays: nearly all do so within six
-POLISH_STRETCH = (0.4,)
+CLOSE_RADII = (0.07, 0.03)  # with fine steps,
+ROUNDS = 8  # steps at each: nearly all stay within six
 REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
-FINE_STEP = 0.03  # of a range: slopes over wider steps never end a fit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,6 +116,17 @@ class Trial:
     total: float
 
 
+@dataclasses.dataclass(frozen=True)
+class _Place:
+    """Where a fit stands: (P,) parameters, (Q,) nuisances, the prediction without these, residual and scales with."""
+
+    unit: np.ndarray
+    nuisance: np.ndarray
+    predicted: np.ndarray
+    residual: np.ndarray
+    scale: np.ndarray
+
+
 class Fitter:
     """Fits models of one structure to the open sets of a problem."""
 
@@ -147,7 +156,7 @@ class Fitter:
         """(G,) scales of a residual of the open sets."""
         full = np.zeros_like(self.problem.observed)
         full[self.sets] = residual
-        return self.problem.scales(full, self.sets[_alive(residual)])
+        return self.problem.scales(full, self.sets[unbroken(residual)])
 
     def best_start(self, starts: np.ndarray, nuisance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The best of (N, P) starting points by the scale-free loss, and its prediction (open sets, T, C).
@@ -196,55 +205,66 @@ class Fitter:
         self,
         starts: np.ndarray,
         nuisance: np.ndarray | None = None,
-        steps: Sequence[float] = STEPS,
-        stretch: Sequence[float] = STRETCH,
-        known: tuple[np.ndarray, np.ndarray] | None = None,
-        predicted: np.ndarray | None = None,
+        radii: Sequence[float] = RADII,
+        most: int = MOST,
     ) -> Fit:
-        """Fits from the best of (N, P) starting points, until it converges or the steps are used up.
+        """Fits from the best of (N, P) starting points, until the loss stays at the last radius.
 
         Args:
           starts: (N, P) in [0, 1].
           nuisance: (Q,) to start from.
-          steps: of the finite differences, one for each iteration; equal ones in a row share their slopes.
-          stretch: other multiples of each step: a longer one is tried where the loss falls as the slopes promise
-            (these count less where they bend, so steps are short), a shorter one where it does not.
-          known: slopes and bends from elsewhere, which then serve for all iterations.
-          predicted: (open sets, T, C) from a single start, where that is known.
+          radii: of a parameter's range, one after the other: how far around a place simulations tell its slopes.
+          most: steps at each radius; fewer if the loss stays.
         """
         delta = np.zeros(self.nuisance.effect.shape[-1]) if nuisance is None else nuisance.copy()
-        unit = np.asarray(starts, float)[0]
-        if predicted is None:
-            unit, predicted = self.best_start(starts, delta)
-        residual = self.residual(predicted, delta)
-        scale = self.scales(residual)
+        unit, predicted = self.best_start(starts, delta)
+        place = self._place(unit, delta, predicted)
+        slopes = Slopes(self.predict)
+        slopes.remember(unit[None], predicted[None])
+        jacobian, bend = np.zeros((*place.residual.shape, len(unit))), np.zeros_like(place.residual)
         converged = False
-        jacobian, bend = known or (np.zeros((*residual.shape, len(unit))), np.zeros_like(residual))
-        last = 0.0
-        for step in steps:
-            if known is None and step != last:
-                jacobian, bend = self.slopes(unit, predicted, step)
-            last = step
-            before = self._total(residual, delta, scale)
-            move, move_delta = self._direction(unit, residual, delta, scale, jacobian, bend)
-            straight = residual - jacobian @ move - self.nuisance.effect[self.sets] @ move_delta
-            expected = before - self._total(straight, delta + move_delta, scale)
-            best = Trial(unit, delta, predicted, before)
-            for share in (1.0, *stretch):
-                if share != 1.0 and (share > 1.0) != (before - best.total > GOOD * expected):
-                    continue
-                places = self._places(unit, share * move, step >= TOGETHER_STEP and share == 1.0)
-                best = min([best, *self._tried(places, delta + share * move_delta, scale)], key=lambda t: t.total)
-            moved = float(np.max(np.abs(best.unit - unit)))
-            if best.total < before:
-                unit, predicted, delta = best.unit, best.predicted, best.nuisance
-                residual = self.residual(predicted, delta)
-                scale = self.scales(residual)
-            small = max(SMALL_GAIN, SMALL_SHARE * abs(before))
-            converged = best.total < np.inf and (moved < SMALL_STEP or before - best.total < small)
-            if converged and step <= FINE_STEP:
-                break
-        return self._finish(unit, delta, predicted, residual, scale, jacobian, bend, converged)
+        for radius in radii:
+            for _ in range(most):
+                jacobian, bend = slopes.at(place.unit, place.predicted, radius)
+                before, tried = self._stepped(place, jacobian, bend, radius)
+                slopes.remember(np.array([t.unit for t in tried]), np.array([t.predicted for t in tried]))
+                best = min(tried, key=lambda t: t.total)
+                moved = float(np.max(np.abs(best.unit - place.unit)))
+                fell = before - best.total if best.total < before else 0.0
+                if fell > 0.0:
+                    place = self._place(best.unit, best.nuisance, best.predicted)
+                stays = moved < SMALL_STEP or fell < max(SMALL_GAIN, SMALL_SHARE * abs(before))
+                converged = min(before, best.total) < np.inf and stays
+                if converged:
+                    break
+        return self._finish(place, jacobian, bend, converged)
+
+    def _place(self, unit: np.ndarray, nuisance: np.ndarray, predicted: np.ndarray) -> _Place:
+        residual = self.residual(predicted, nuisance)
+        return _Place(unit, nuisance, predicted, residual, self.scales(residual))
+
+    def _stepped(
+        self, place: _Place, jacobian: np.ndarray, bend: np.ndarray, radius: float
+    ) -> tuple[float, list[Trial]]:
+        """The loss at a place, and all trials of a Gauss-Newton step from there.
+
+        A longer one is tried where the loss falls as the slopes promise (these count less where they bend, so steps are
+        short), a shorter one where it does not.
+        """
+        before = self._total(place.residual, place.nuisance, place.scale)
+        normal, slope = self._quadratic(place.residual, place.scale, jacobian, bend)
+        step = bounded_step(normal.sum(axis=0), slope.sum(axis=0), place.unit, place.nuisance)
+        move, move_delta = step[: len(place.unit)], step[len(place.unit) :]
+        left = place.residual - jacobian @ move - self.nuisance.effect[self.sets] @ move_delta
+        expected = before - self._total(left, place.nuisance + move_delta, place.scale)
+        tried: list[Trial] = []
+        for share in (1.0, *STRETCH):
+            fell = before - min((t.total for t in tried), default=before)
+            if share != 1.0 and (share > 1.0) != (fell > GOOD * expected):
+                continue
+            places = self._places(place.unit, share * move, radius >= TOGETHER_RADIUS and share == 1.0)
+            tried += self._tried(places, place.nuisance + share * move_delta, place.scale)
+        return before, tried
 
     def _places(self, unit: np.ndarray, move: np.ndarray, wide: bool) -> np.ndarray:
         """(n, P) where a step may end; a wide one also with all forces and masses scaled together."""
@@ -260,7 +280,7 @@ class Fitter:
             trials.append(Trial(unit, own, predicted, self._total(self.residual(predicted, own), own, scale)))
         return trials
 
-    def escape(self, fit: Fit, count: int, steps: Sequence[float]) -> Fit:
+    def escape(self, fit: Fit, count: int) -> Fit:
         """The fit, or a better one begun far off: along one of the first `count` parameters, or all forces scaled.
 
         Whether a foot slips or sticks turns at some friction, and a stiffer and heavier robot moves nearly alike, so
@@ -276,43 +296,20 @@ class Fitter:
         here = few.run(fit.unit[None], fit.nuisance, ())
         if not best.total < (1.0 - WORTH) * here.total:
             return fit
-        other = self.run(best.unit[None], fit.nuisance, steps)
+        other = self.run(best.unit[None], fit.nuisance)
         return other if other.total < fit.total else fit
 
     def polish(self, fit: Fit) -> Fit:
-        """A fit at another time step carried on at this one, first with its slopes, then with slopes of this step.
-
-        Where a foot may slip, slopes turn on the way: those of the end tell whether it is one.
-        """
-        fine = self.run(fit.unit[None], fit.nuisance, POLISH, POLISH_STRETCH, known=(fit.jacobian, fit.bend))
-        for _ in range(ROUNDS):
-            before = fine.total
-            fine = self.run(fine.unit[None], fine.nuisance, CLOSE, POLISH_STRETCH, predicted=fine.predicted)
-            if not fine.total < np.inf or before - fine.total < max(SMALL_GAIN, SMALL_SHARE * abs(before)):
-                return fine
-        return dataclasses.replace(fine, converged=False)
+        """A fit at another time step carried on at this one."""
+        return self.run(fit.unit[None], fit.nuisance, CLOSE_RADII, ROUNDS)
 
     def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
         return float(self.problem.loss(residual, scale, self.sets).sum() + 0.5 * delta @ delta)
 
-    def slopes(self, unit: np.ndarray, predicted: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes of the prediction over a wide step, and how far it departs from them; 0 in sets that diverge here.
-
-        A probe that diverges in another set is left out.
-
-        Returns:
-          (open sets, T, C, P) slopes; (open sets, T, C) root mean square departure from the straight line.
-        """
-        moves = probe(unit, step)
-        change = self.predict(unit + moves) - predicted
-        change[:, ~_alive(predicted)] = 0.0
-        alive = np.isfinite(change).all(axis=(1, 2, 3))
-        return straight(moves[alive], change[alive])
-
     def precision(self, residual: np.ndarray, scale: np.ndarray, bend: np.ndarray) -> np.ndarray:
         """(open sets, T, C) weight of each squared residual in a Gauss-Newton step; none of a set that diverges."""
         full = np.zeros_like(self.problem.observed)
-        alive = _alive(residual)
+        alive = unbroken(residual)
         full[self.sets[alive]] = residual[alive]
         sigma = self.problem.floor * scale[self.problem.group]
         return alive[:, None, None] * self.problem.precision(full, scale)[self.sets] / (1.0 + (bend / sigma) ** 2)
@@ -324,49 +321,25 @@ class Fitter:
         design = np.concatenate([jacobian, self.nuisance.effect[self.sets]], axis=-1)
         return gram(design, np.nan_to_num(residual), self.precision(residual, scale, bend))
 
-    def _direction(
-        self,
-        unit: np.ndarray,
-        residual: np.ndarray,
-        delta: np.ndarray,
-        scale: np.ndarray,
-        jacobian: np.ndarray,
-        bend: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        normal, slope = self._quadratic(residual, scale, jacobian, bend)
-        step = bounded_step(normal.sum(axis=0), slope.sum(axis=0), unit, delta)
-        return step[: len(unit)], step[len(unit) :]
-
-    def _finish(
-        self,
-        unit: np.ndarray,
-        delta: np.ndarray,
-        predicted: np.ndarray,
-        residual: np.ndarray,
-        scale: np.ndarray,
-        jacobian: np.ndarray,
-        bend: np.ndarray,
-        converged: bool,
-    ) -> Fit:
+    def _finish(self, place: _Place, jacobian: np.ndarray, bend: np.ndarray, converged: bool) -> Fit:
+        residual, scale = place.residual, place.scale
         normal, slope = self._quadratic(residual, scale, jacobian, bend)
         square = (self.precision(residual, scale, bend) * np.nan_to_num(residual) ** 2).sum(axis=(1, 2))
-        loss = self.problem.loss(residual, scale, self.sets)
         return Fit(
-            self.model, unit, delta, predicted, residual, loss, scale, normal, slope, square, jacobian, bend, converged
+            self.model,
+            place.unit,
+            place.nuisance,
+            place.predicted,
+            residual,
+            self.problem.loss(residual, scale, self.sets),
+            scale,
+            normal,
+            slope,
+            square,
+            jacobian,
+            bend,
+            converged,
         )
-
-
-def _alive(values: np.ndarray) -> np.ndarray:
-    """(S,) which sets of (S, T, C) predictions or residuals did not diverge."""
-    return np.isfinite(values).all(axis=(1, 2))
-
-
-def straight(moves: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The slopes (..., P) of changes (n, ...) of a prediction with moves (n, P), and the root mean square departure."""
-    slopes = np.einsum("pn,n...->...p", np.linalg.pinv(moves), change)
-    departure = change - np.einsum("np,...p->n...", moves, slopes)
-    freedom = max(len(moves) - moves.shape[1], 1)
-    return slopes, np.sqrt((departure**2).sum(axis=0) / freedom)
 
 
 def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:
@@ -387,16 +360,3 @@ def at_level(unit: np.ndarray, parameter: int, level: float) -> np.ndarray:
     moved = unit.copy()
     moved[parameter] = np.clip(level, 0.02, 0.98)
     return moved
-
-
-def probe(unit: np.ndarray, step: float) -> np.ndarray:
-    """(2 P, P) moves along each axis, both ways; near a bound, one and two steps inwards."""
-    moves = []
-    for p, value in enumerate(unit):
-        sizes = (step, -step)
-        if value + step > 1.0:
-            sizes = (-step, -2 * step)
-        elif value - step < 0.0:
-            sizes = (step, 2 * step)
-        moves += [size * np.eye(len(unit))[p] for size in sizes]
-    return np.array(moves)

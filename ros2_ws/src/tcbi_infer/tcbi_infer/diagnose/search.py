@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 
 from tcbi_infer.diagnose import paired
-from tcbi_infer.diagnose.fit import CLOSE_STEPS, Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.screen import Screen, Targets
 from tcbi_infer.diagnose.settings import Settings
@@ -76,7 +76,7 @@ class Search:
         u = min(fits, key=lambda u: fits[u][0].total)
         self.progress(f"fitting {self.names[u]} elsewhere", 0.75)
         rough, fine = fits[u]
-        other = self._fitter(fine.model).escape(rough, len(self.base.unit), CLOSE_STEPS)
+        other = self._fitter(fine.model).escape(rough, len(self.base.unit))
         found = fine if other is rough else refined(self.problem, other, self.nuisance, self.sets, self.settings)
         return {u: (other, found)} if found.total < fine.total else {}
 
@@ -158,12 +158,12 @@ class Search:
         for i, u in enumerate(promising):
             self.progress(f"fitting {self.names[u]}", (begin + end + (end - begin) * i / len(promising)) / 2)
             fitter = self._fitter(self.screen.directions.models[u])
-            fitted[u] = fitter, fitter.run(starts[u], steps=CLOSE_STEPS)
+            fitted[u] = fitter, fitter.run(starts[u])
         if self.settings.escape and fitted:
             u = min(fitted, key=lambda u: fitted[u][1].total)
             fitter, rough = fitted[u]
             if rough.total <= least_loss:
-                fitted[u] = fitter, fitter.escape(rough, len(self.base.unit), CLOSE_STEPS)
+                fitted[u] = fitter, fitter.escape(rough, len(self.base.unit))
         gains = {u: self.base_loss - rough.total for u, (_, rough) in fitted.items()}
         best = max([self.base_loss - least_loss, *gains.values()])
         least = min(HOPELESS * best, best)
