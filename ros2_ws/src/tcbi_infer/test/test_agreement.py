@@ -33,9 +33,9 @@ def told(recordings: Sequence[Measurement]) -> dict[str, Agreement]:
     floor = noise_floor(replay.layout, replay.measured, residual, replay.replicates)
     problem, sets = Problem.of(replay, floor.values), np.arange(len(replay.replicates))
     none = Nuisance.none(problem)
-    first = Fitter(problem, MODEL, none, sets, 0.002).run(to_unit(MODEL, BASE)[None], steps=(0.03,))
+    first = Fitter(problem, MODEL, none, sets, 0.002).run(to_unit(MODEL, BASE)[None], radii=(0.03,))
     problem = problem.with_autocorrelation(first.residual)
-    fit = Fitter(problem, MODEL, none, sets, 0.002).run(first.unit[None], steps=(0.03, 0.03))
+    fit = Fitter(problem, MODEL, none, sets, 0.002).run(first.unit[None], radii=(0.03, 0.03))
     covariance = np.linalg.inv(fit.normal.sum(axis=0) + 1e-3 * np.eye(3))
     return {a.name: a for a in agreement(problem, fit, none, sets, covariance)}
 
@@ -59,7 +59,7 @@ def test_motions_of_one_robot_agree_and_each_holds_the_truth(same):
     assert {k.kind for k in found["friction"].kinds} == {"sine", "fast", "steps", "ramp", "chirp", "walk", "saw"}
 
 
-@pytest.mark.parametrize(("parameter", "factor"), [("friction", 3.0), ("gain", 1.5)])
+@pytest.mark.parametrize(("parameter", "factor"), [("friction", 3.0), ("gain", 1.7)])
 def test_a_value_that_differs_between_motions_is_told_and_no_other(same, parameter, factor):
     other = BASE * np.where(np.array(MODEL.names) == parameter, factor, 1.0)
     found = told(mixed(same, record(MODEL, other)))

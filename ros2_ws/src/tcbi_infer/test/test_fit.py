@@ -11,11 +11,12 @@ from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
 from tcbi_infer.diagnose.base_fit import base_starts
-from tcbi_infer.diagnose.fit import ROUNDS, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import CLOSE_RADII, ROUNDS, Fitter, Nuisance, to_unit
 from tcbi_infer.diagnose.heldout import held_out
 from tcbi_infer.diagnose.null import noise_draws
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.screen import simulate_directions
+from tcbi_infer.diagnose.slopes import Slopes
 from tcbi_sim.model import base_model
 from tcbi_sim.parameter import Parameter
 
@@ -34,16 +35,16 @@ def fitter() -> Fitter:
 
 @pytest.mark.parametrize("start", [(0.5, 0.5, 0.5), (0.8, 0.4, 0.4)])
 def test_a_fit_comes_to_the_truth_and_knows_it(fitter, start):
-    fit = fitter.run(np.array([start]))
-    at_truth = fitter.run(to_unit(MODEL, BASE)[None], steps=())
+    fit = fitter.polish(fitter.run(np.array([start])))
+    at_truth = fitter.run(to_unit(MODEL, BASE)[None], radii=())
     assert fit.converged and fit.total <= at_truth.total + 1.0
     assert fit.parameters[0] == pytest.approx(BASE[0], rel=0.05)
 
 
 def test_a_fit_is_never_worse_than_its_best_start(fitter):
     starts = np.random.default_rng(0).uniform(0.1, 0.9, (5, 3))
-    losses = [fitter.run(s[None], steps=()).total for s in starts]
-    assert fitter.run(starts, steps=(0.05,)).total <= min(losses)
+    losses = [fitter.run(s[None], radii=()).total for s in starts]
+    assert fitter.run(starts, radii=(0.05,)).total <= min(losses)
 
 
 def test_a_longer_step_is_tried_where_the_whole_one_is_good_and_a_shorter_one_where_it_is_not(fitter, monkeypatch):
@@ -57,7 +58,7 @@ def test_a_longer_step_is_tried_where_the_whole_one_is_good_and_a_shorter_one_wh
     monkeypatch.setattr(Fitter, "predict", watched)
     for start, longer in ((to_unit(MODEL, BASE) + 0.03, True), (np.array([0.58, 0.11, 0.44]), False)):
         tried.clear()
-        fitter.run(start[None], steps=(0.02,))
+        fitter.run(start[None], radii=(0.02,), most=1)
         at_start, slopes, whole, other = tried
         assert len(at_start) == len(whole) == len(other) == 1 and len(slopes) == 6
         assert (np.linalg.norm(other - start) > np.linalg.norm(whole - start)) == longer
@@ -85,9 +86,9 @@ def everywhere(model, parameters):
 
 def test_a_motion_that_diverges_at_the_point_itself_costs_the_others_no_slopes(fitter, monkeypatch):
     unit = to_unit(MODEL, BASE)
-    slopes, bend = fitter.slopes(unit, fitter.predict(unit)[0], 0.05)
+    slopes, bend = Slopes(fitter.predict).at(unit, fitter.predict(unit)[0], 0.05)
     diverge(monkeypatch, everywhere)
-    left, departure = fitter.slopes(unit, fitter.predict(unit)[0], 0.05)
+    left, departure = Slopes(fitter.predict).at(unit, fitter.predict(unit)[0], 0.05)
     others = np.arange(len(slopes)) != LOST
     np.testing.assert_array_equal(left[others], slopes[others])
     np.testing.assert_array_equal(departure[others], bend[others])
@@ -96,33 +97,36 @@ def test_a_motion_that_diverges_at_the_point_itself_costs_the_others_no_slopes(f
 
 def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter, monkeypatch):
     fitter = Fitter(fitter.problem, MODEL, fitter.nuisance, fitter.sets, 0.005)
-    good = dataclasses.replace(fitter.run(to_unit(MODEL, BASE)[None], steps=()), converged=True)
+    good = dataclasses.replace(fitter.run(to_unit(MODEL, BASE)[None], radii=()), converged=True)
     assert fitter.polish(good).converged
     diverge(monkeypatch, everywhere)
-    fit = fitter.run(np.array([[0.5, 0.5, 0.5]]), steps=(0.05, 0.03))
+    fit = fitter.run(np.array([[0.5, 0.5, 0.5]]), radii=(0.05, 0.03))
     assert fit.total == np.inf and not fit.converged
     assert np.isfinite(fit.unit).all() and np.isfinite(fit.normal).all() and np.isfinite(fit.square).all()
     assert not fitter.polish(good).converged
 
 
 @pytest.mark.parametrize(
-    ("falls", "rounds", "converged"), [([50, 50, 0], 3, True), ([0], 1, True), ([50] * 20, ROUNDS, False)]
+    ("falls", "steps", "converged"), [([50, 50, 0], 4, True), ([0], 2, True), ([50] * 20, 2 * ROUNDS, False)]
 )
-def test_a_fit_is_polished_until_its_loss_stays(fitter, monkeypatch, falls, rounds, converged):
-    begun = dataclasses.replace(fitter.run(to_unit(MODEL, BASE)[None], steps=()), converged=True)
-    totals, runs = iter(1000.0 - np.cumsum([0, 0, *falls])[1:]), []
+def test_a_fit_is_polished_until_its_loss_stays(fitter, monkeypatch, falls, steps, converged):
+    begun = fitter.run(to_unit(MODEL, BASE)[None], radii=())
+    total, trial, stepped, left = fitter._total, fitter._trial, [], list(falls)
 
-    def run(*arguments, **known):
-        runs.append("known" in known)
-        return dataclasses.replace(begun, loss=np.array([next(totals)]))
+    def step(place, *slopes):
+        stepped.append(slopes)
+        here = total(place.residual, place.nuisance, place.scale)
+        fall = left.pop(0) if left else 0
+        away = trial(np.clip(place.unit + 0.02, 0.0, 1.0), place.nuisance, place.scale)
+        return here, [dataclasses.replace(away, total=here - fall)]
 
-    monkeypatch.setattr(fitter, "run", run)
-    assert fitter.polish(begun).converged == converged
-    assert runs == [True] + [False] * rounds
+    monkeypatch.setattr(fitter, "_stepped", step)
+    assert fitter.polish(begun).converged == converged and len(CLOSE_RADII) == 2
+    assert len(stepped) == steps
 
 
 def test_a_use_that_diverges_at_every_size_is_not_said_to_change_nothing(fitter, monkeypatch):
-    base = fitter.run(to_unit(MODEL, BASE)[None], steps=())
+    base = fitter.run(to_unit(MODEL, BASE)[None], radii=())
     diverge(monkeypatch, lambda model, parameters: np.full(len(parameters), "backlash" in model.effects))
     uses = ("backlash", "command_latency")
     found = simulate_directions(fitter.problem, base, fitter.nuisance, uses, fitter.sets, 0.005)
@@ -130,7 +134,7 @@ def test_a_use_that_diverges_at_every_size_is_not_said_to_change_nothing(fitter,
 
 
 def test_uses_show_in_the_motions_in_which_the_base_model_does_not_diverge(fitter, monkeypatch):
-    base = fitter.run(to_unit(MODEL, BASE)[None], steps=())
+    base = fitter.run(to_unit(MODEL, BASE)[None], radii=())
     diverge(monkeypatch, everywhere)
     found = simulate_directions(fitter.problem, base, fitter.nuisance, ("backlash",), fitter.sets, 0.005)
     assert found.uses == ("backlash",) and not (found.untestable or found.diverging)
@@ -142,7 +146,7 @@ def test_a_single_kind_of_motion_is_predicted_by_its_own_fit_with_the_scatter_be
     shifted = dataclasses.replace(fitter.problem, observed=fitter.problem.observed + 2.0 * shift)
     scatter = Nuisance(np.broadcast_to(shift[..., None], (*shifted.observed.shape, 1)), ("joint",))
     one = np.array([LOST])
-    fit = Fitter(shifted, MODEL, scatter, one, 0.002).run(to_unit(MODEL, BASE)[None], steps=(0.02,))
+    fit = Fitter(shifted, MODEL, scatter, one, 0.002).run(to_unit(MODEL, BASE)[None], radii=(0.02,))
     held = held_out(shifted, fit, scatter, one, 0.002)
     assert fit.nuisance[0] > 1.0 and held.unit[0] == pytest.approx(fit.unit)
     np.testing.assert_allclose(held.residual, fit.residual, atol=1e-6)

@@ -84,7 +84,7 @@ QUICK = Plan(
     settings=replace(QUICK_DIAGNOSIS, rivals=False),  # few candidates, none alike
     particles=48,
     generations=2,
-    training_s=12.0,
+    training_s=10.0,
 )
 
 

@@ -17,10 +17,8 @@ from tcbi_sim.model import Model
 
 RADII = (0.12, 0.08)  # of a parameter's range: narrow slopes alone stall where feet stick and slip
 MOST = 2  # steps at each
-STRETCH = (2.0, 0.4)  # of the Gauss-Newton step: the longer one where the whole step is good, else the shorter one
+LONGER, SHORTER = 2.0, 0.4  # of the Gauss-Newton step: the longer one where the whole step is good, else the shorter
 GOOD = 0.5  # of the fall of the loss that the slopes promise
-TOGETHER = (0.75, 1.4)  # factors of all forces and masses, tried with a step
-TOGETHER_RADIUS = 0.08  # of a range: only while the slopes are as wide as this
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
 SCALINGS = (0.5, 0.7, 1.4, 2.0)  # of all forces and masses, to others
 RACERS = 2  # far points that are fitted a little on few sets before one is chosen
@@ -226,7 +224,7 @@ class Fitter:
         for radius in radii:
             for _ in range(most):
                 jacobian, bend = slopes.at(place.unit, place.predicted, radius)
-                before, tried = self._stepped(place, jacobian, bend, radius)
+                before, tried = self._stepped(place, jacobian, bend)
                 slopes.remember(np.array([t.unit for t in tried]), np.array([t.predicted for t in tried]))
                 best = min(tried, key=lambda t: t.total)
                 moved = float(np.max(np.abs(best.unit - place.unit)))
@@ -243,13 +241,11 @@ class Fitter:
         residual = self.residual(predicted, nuisance)
         return _Place(unit, nuisance, predicted, residual, self.scales(residual))
 
-    def _stepped(
-        self, place: _Place, jacobian: np.ndarray, bend: np.ndarray, radius: float
-    ) -> tuple[float, list[Trial]]:
-        """The loss at a place, and all trials of a Gauss-Newton step from there.
+    def _stepped(self, place: _Place, jacobian: np.ndarray, bend: np.ndarray) -> tuple[float, list[Trial]]:
+        """The loss at a place, and two trials of a Gauss-Newton step from there: the whole one and another.
 
-        A longer one is tried where the loss falls as the slopes promise (these count less where they bend, so steps are
-        short), a shorter one where it does not.
+        That is longer where the loss falls as the slopes promise (these count less where they bend, so steps are
+        short), and shorter where it does not.
         """
         before = self._total(place.residual, place.nuisance, place.scale)
         normal, slope = self._quadratic(place.residual, place.scale, jacobian, bend)
@@ -257,28 +253,19 @@ class Fitter:
         move, move_delta = step[: len(place.unit)], step[len(place.unit) :]
         left = place.residual - jacobian @ move - self.nuisance.effect[self.sets] @ move_delta
         expected = before - self._total(left, place.nuisance + move_delta, place.scale)
-        tried: list[Trial] = []
-        for share in (1.0, *STRETCH):
-            fell = before - min((t.total for t in tried), default=before)
-            if share != 1.0 and (share > 1.0) != (fell > GOOD * expected):
-                continue
-            places = self._places(place.unit, share * move, radius >= TOGETHER_RADIUS and share == 1.0)
-            tried += self._tried(places, place.nuisance + share * move_delta, place.scale)
-        return before, tried
 
-    def _places(self, unit: np.ndarray, move: np.ndarray, wide: bool) -> np.ndarray:
-        """(n, P) where a step may end; a wide one also with all forces and masses scaled together."""
-        end = np.clip(unit + move, 0.0, 1.0)
-        together = [scaled_together(self.model, end, factor) for factor in TOGETHER]
-        return np.array([end, *together] if wide and not np.allclose(together[0], end) else [end])
+        def trial(share: float) -> Trial:
+            end = np.clip(place.unit + share * move, 0.0, 1.0)
+            return self._trial(end, place.nuisance + share * move_delta, place.scale)
 
-    def _tried(self, places: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> list[Trial]:
-        """Each of (n, P) places, with the nuisances that suit it best."""
-        trials = []
-        for unit, predicted in zip(places, self.predict(places), strict=True):
-            own = self.profiled(predicted, delta, scale)
-            trials.append(Trial(unit, own, predicted, self._total(self.residual(predicted, own), own, scale)))
-        return trials
+        whole = trial(1.0)
+        return before, [whole, trial(LONGER if before - whole.total > GOOD * expected else SHORTER)]
+
+    def _trial(self, unit: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> Trial:
+        """A place, with the nuisances that suit it best."""
+        predicted = self.predict(unit)[0]
+        own = self.profiled(predicted, delta, scale)
+        return Trial(unit, own, predicted, self._total(self.residual(predicted, own), own, scale))
 
     def escape(self, fit: Fit, count: int) -> Fit:
         """The fit, or a better one begun far off: along one of the first `count` parameters, or all forces scaled.

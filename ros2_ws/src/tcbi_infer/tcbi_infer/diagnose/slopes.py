@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 COVERED = 0.5  # squared radii, weighted: a direction in which simulations lie less far apart is simulated anew
-RIDGE = 0.1  # squared radii by which known slopes count, against those of the simulations
+RIDGE = 0.03  # squared radii by which known slopes count, against those of the simulations
 LEAST_WEIGHT = 1e-3
 LEAST_FREEDOM = 0.3  # share of the simulations' degrees of freedom
 
