@@ -25,6 +25,7 @@ class Plan:
       deployment_s: length of each, s; 0 for the task's own.
       effects: candidates.
       settings: of the diagnosis.
+      bands: particles of the predictive bands in comparisons.
       particles: of the inference.
       generations: of the inference, at most.
       training_s: wall time of the retraining.
@@ -38,6 +39,7 @@ class Plan:
     deployment_s: float
     effects: tuple[str, ...]
     settings: Settings
+    bands: int
     particles: int
     generations: int
     training_s: float
@@ -69,6 +71,7 @@ FULL = Plan(
     deployment_s=0.0,
     effects=MORE_EFFECTS,
     settings=Settings(),
+    bands=12,
     particles=48,
     generations=4,
     training_s=60.0,
@@ -77,11 +80,12 @@ QUICK = Plan(
     motions=("steps", "tripod", "sinus", "squat", "dither"),  # the fewest kinds that a false-alarm rate can rest on
     repeated=2,  # feet that move do not do twice the same, so one that walks is among them
     unseen=("steps:7",),
-    motion_s=2.2,
+    motion_s=2.0,
     deployments=2,
-    deployment_s=2.4,
+    deployment_s=2.0,
     effects=BASIC_EFFECTS,
     settings=replace(QUICK_DIAGNOSIS, rivals=False),  # few candidates, none alike
+    bands=8,
     particles=48,
     generations=2,
     training_s=10.0,

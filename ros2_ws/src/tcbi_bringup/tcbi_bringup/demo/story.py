@@ -36,7 +36,6 @@ from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
 TASK = "balance"
-PARTICLES = 12  # of the predictive bands
 RECORDINGS = 3  # of the same, at most
 
 
@@ -136,7 +135,7 @@ class Story:
         """The base model against the measurements."""
         model = self.out.store.load("hexapod-v0")
         self.out.models = [model]
-        found = self.out.comparison = compare(model, self.out.motions, particles=PARTICLES)
+        found = self.out.comparison = compare(model, self.out.motions, particles=self.plan.bands)
         worst = max(found.signals, key=lambda s: s.ratio)
         self.say(
             f"{model.version} misses by {found.error_over_floor:.1f} times what the robot differs from itself; "
@@ -202,7 +201,7 @@ class Story:
             robot = self._run_meanwhile(lambda: self.run_task_again(advance))
             floor = out.comparison.floor if out.comparison else None  # from all motions, not these few
             for model in out.models:
-                out.errors[model.version] = compare(model, out.unseen, particles=PARTICLES, floor=floor)
+                out.errors[model.version] = compare(model, out.unseen, particles=self.plan.bands, floor=floor)
             draw(out)
             robot.result()
         change = f"return {mean_return(out.before):.0f} -> {mean_return(out.after):.0f}"
