@@ -111,13 +111,13 @@ def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter
 )
 def test_a_fit_is_polished_until_its_loss_stays(fitter, monkeypatch, falls, steps, converged):
     begun = fitter.run(to_unit(MODEL, BASE)[None], radii=())
-    total, trial, stepped, left = fitter._total, fitter._trial, [], list(falls)
+    total, trials, stepped, left = fitter._total, fitter._trials, [], list(falls)
 
     def step(place, *slopes):
         stepped.append(slopes)
         here = total(place.residual, place.nuisance, place.scale)
         fall = left.pop(0) if left else 0
-        away = trial(np.clip(place.unit + 0.02, 0.0, 1.0), place.nuisance, place.scale)
+        away = trials(np.clip(place.unit + 0.02, 0.0, 1.0)[None], place.nuisance, place.scale)[0]
         return here, [dataclasses.replace(away, total=here - fall)]
 
     monkeypatch.setattr(fitter, "_stepped", step)

@@ -13,12 +13,14 @@ import numpy as np
 from tcbi_infer.diagnose.least_squares import bounded_step, gram
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.slopes import Slopes, unbroken
+from tcbi_infer.diagnose.valley import points_along, weakest
 from tcbi_sim.model import Model
 
-RADII = (0.12, 0.08)  # of a parameter's range: narrow slopes alone stall where feet stick and slip
+RADII = (0.12, 0.08, 0.08)  # of a parameter's range: narrow slopes alone stall where feet stick and slip
 MOST = 2  # steps at each
 LONGER, SHORTER = 2.0, 0.4  # of the Gauss-Newton step: the longer one where the whole step is good, else the shorter
 GOOD = 0.5  # of the fall of the loss that the slopes promise
+FOLLOWED = 2  # points along a valley, the best by the slopes, that a fit may go to
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
 SCALINGS = (0.5, 0.7, 1.4, 2.0)  # of all forces and masses, to others
 RACERS = 2  # far points that are fitted a little on few sets before one is chosen
@@ -205,6 +207,7 @@ class Fitter:
         nuisance: np.ndarray | None = None,
         radii: Sequence[float] = RADII,
         most: int = MOST,
+        valleys: bool = True,
     ) -> Fit:
         """Fits from the best of (N, P) starting points, until the loss stays at the last radius.
 
@@ -213,6 +216,7 @@ class Fitter:
           nuisance: (Q,) to start from.
           radii: of a parameter's range, one after the other: how far around a place simulations tell its slopes.
           most: steps at each radius; fewer if the loss stays.
+          valleys: look far along the direction that the data tell worst, between one radius and the next.
         """
         delta = np.zeros(self.nuisance.effect.shape[-1]) if nuisance is None else nuisance.copy()
         unit, predicted = self.best_start(starts, delta)
@@ -221,7 +225,9 @@ class Fitter:
         slopes.remember(unit[None], predicted[None])
         jacobian, bend = np.zeros((*place.residual.shape, len(unit))), np.zeros_like(place.residual)
         converged = False
-        for radius in radii:
+        for number, radius in enumerate(radii):
+            if valleys and number > 0:
+                place = self._along_the_valley(place, jacobian, bend, slopes)
             for _ in range(most):
                 jacobian, bend = slopes.at(place.unit, place.predicted, radius)
                 before, tried = self._stepped(place, jacobian, bend)
@@ -256,16 +262,49 @@ class Fitter:
 
         def trial(share: float) -> Trial:
             end = np.clip(place.unit + share * move, 0.0, 1.0)
-            return self._trial(end, place.nuisance + share * move_delta, place.scale)
+            return self._trials(end[None], place.nuisance + share * move_delta, place.scale)[0]
 
         whole = trial(1.0)
         return before, [whole, trial(LONGER if before - whole.total > GOOD * expected else SHORTER)]
 
-    def _trial(self, unit: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> Trial:
-        """A place, with the nuisances that suit it best."""
-        predicted = self.predict(unit)[0]
-        own = self.profiled(predicted, delta, scale)
-        return Trial(unit, own, predicted, self._total(self.residual(predicted, own), own, scale))
+    def _along_the_valley(self, place: _Place, jacobian: np.ndarray, bend: np.ndarray, slopes: Slopes) -> _Place:
+        """The best place far along the direction that the data tell worst; the present one if none is better.
+
+        A far point's loss is mostly that of its distance from the valley's floor, so a Gauss-Newton step across the
+        valley is made from each, with the slopes known here: what is then expected to be left ranks them.
+        """
+        count = len(place.unit)
+        normal, _ = self._quadratic(place.residual, place.scale, jacobian, bend)
+        floor = weakest(normal.sum(axis=0), count)
+        wall = np.zeros_like(normal[0])
+        wall[:count, :count] = np.trace(normal.sum(axis=0)) * np.outer(floor, floor)  # keeps a step from going back
+        units = points_along(self.model, place.unit, floor)
+        ends: list[tuple[float, np.ndarray]] = []
+        trials = self._trials(units, place.nuisance, place.scale)
+        for t in trials:
+            if t.total < np.inf:
+                residual = self.residual(t.predicted, t.nuisance)
+                matrix, slope = self._quadratic(residual, place.scale, jacobian, bend)
+                step = bounded_step(matrix.sum(axis=0) + wall, slope.sum(axis=0), t.unit, t.nuisance)
+                left = residual - jacobian @ step[:count] - self.nuisance.effect[self.sets] @ step[count:]
+                ends.append((self._total(left, t.nuisance + step[count:], place.scale), t.unit + step[:count]))
+        before = self._total(place.residual, place.nuisance, place.scale)
+        followed = [
+            np.clip(end, 0.0, 1.0) for left, end in sorted(ends, key=lambda e: e[0])[:FOLLOWED] if left < before
+        ]
+        if followed:
+            trials += self._trials(np.array(followed), place.nuisance, place.scale)
+        slopes.remember(np.array([t.unit for t in trials]), np.array([t.predicted for t in trials]))
+        best = min(trials, key=lambda t: t.total)
+        return self._place(best.unit, best.nuisance, best.predicted) if best.total < before else place
+
+    def _trials(self, units: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> list[Trial]:
+        """Each of (N, P) places, with the nuisances that suit it best."""
+        trials = []
+        for unit, predicted in zip(units, self.predict(units), strict=True):
+            own = self.profiled(predicted, delta, scale)
+            trials.append(Trial(unit, own, predicted, self._total(self.residual(predicted, own), own, scale)))
+        return trials
 
     def escape(self, fit: Fit, count: int) -> Fit:
         """The fit, or a better one begun far off: along one of the first `count` parameters, or all forces scaled.
@@ -288,7 +327,7 @@ class Fitter:
 
     def polish(self, fit: Fit) -> Fit:
         """A fit at another time step carried on at this one."""
-        return self.run(fit.unit[None], fit.nuisance, CLOSE_RADII, ROUNDS)
+        return self.run(fit.unit[None], fit.nuisance, CLOSE_RADII, ROUNDS, valleys=False)
 
     def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
         return float(self.problem.loss(residual, scale, self.sets).sum() + 0.5 * delta @ delta)

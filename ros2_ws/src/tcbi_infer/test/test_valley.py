@@ -1,0 +1,39 @@
+"""Lines along which forces and masses change together, whatever the scales of their ranges."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tcbi_infer.diagnose.valley import points_along, weakest
+from tcbi_sim.parameter import Parameter
+
+MASS = Parameter("mass", "kg", 0.4, 1.2, 0.8)
+GAIN = Parameter("gain", "N m/rad", 0.1, 8.0, 1.0, scale="log")
+MODEL = SimpleNamespace(parameters=(MASS, GAIN))
+
+
+def physical(units):
+    return np.array([[p.from_unit(u) for p, u in zip(MODEL.parameters, unit, strict=True)] for unit in units])
+
+
+def test_the_ratio_of_a_mass_and_a_stiffness_stays_along_their_line():
+    place = np.array([MASS.to_unit(0.6), GAIN.to_unit(1.2)])
+    together = np.array([0.6 / 0.8, 1.0 / np.log(80.0)])  # both by the same share, in unit space
+    values = physical(points_along(MODEL, place, together))
+    assert np.ptp(values[:, 0]) > 0.3
+    np.testing.assert_allclose(values[:, 1] / values[:, 0], 2.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.5), (1.0, 0.5), (0.5, 0.0), (0.02, 0.98)])
+@pytest.mark.parametrize("direction", [(1.0, 0.3), (1.0, -0.3), (0.0, 1.0)])
+def test_points_stay_within_the_ranges_and_are_apart_from_the_place(place, direction):
+    points = points_along(MODEL, np.array(place), np.array(direction))
+    assert np.all((points >= -1e-9) & (points <= 1 + 1e-9))
+    assert not len(points) or np.abs(points - place).max(axis=1).min() > 1e-3
+
+
+def test_the_weakest_direction_is_that_which_nothing_tells_once_the_nuisances_may_follow():
+    jacobian = np.array([[1.0, 0.0, 10.0], [0.0, 2.0, 0.0]])  # the nuisance does what the first parameter does
+    normal = jacobian.T @ jacobian
+    assert abs(weakest(normal, 2)[0]) == pytest.approx(1.0)
