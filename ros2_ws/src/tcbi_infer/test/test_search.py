@@ -170,7 +170,7 @@ class TwoValleys:
     def loss(self, unit: np.ndarray) -> float:
         return float(min(50 + 100 * abs(unit[0] - 0.2), 2000 * abs(unit[0] - 0.8)))
 
-    def run(self, starts: np.ndarray, nuisance: Any = None, radii: Sequence[float] = ()) -> Any:
+    def run(self, starts: np.ndarray, nuisance: Any = None, radii: Sequence[float] = (), valleys: bool = True) -> Any:
         start = min(starts, key=self.loss)
         unit = np.array([0.8 if start[0] > 0.7 else 0.2])
         return SimpleNamespace(unit=unit, total=self.loss(unit))

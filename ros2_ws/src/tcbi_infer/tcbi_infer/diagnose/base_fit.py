@@ -56,7 +56,7 @@ def fit_base(
     progress("fitting the base model", 0.0)
     starts = base_starts(model)
     everything = Fitter(problem, model, Nuisance.none(problem), sets, settings.coarse)
-    near = everything.on_few_sets().run(starts, radii=(0.12, 0.08, 0.06))
+    near = everything.on_few_sets().run(starts, radii=(0.12, 0.08, 0.06), valleys=False)
     first = everything.run(np.concatenate([near.unit[None], starts[:KNOWN]]), radii=(0.08,), most=1)
     full = np.zeros_like(problem.observed)
     full[sets] = first.residual
@@ -98,7 +98,9 @@ def better_base(
     fitter = Fitter(problem, model, nuisance, sets, settings.coarse)
     if len(starts) > 1:
         few = fitter.on_few_sets()
-        starts = [min((few.run(start[None], radii=RACE) for start in starts), key=lambda f: f.total).unit]
+        starts = [
+            min((few.run(start[None], radii=RACE, valleys=False) for start in starts), key=lambda f: f.total).unit
+        ]
     found = fitter.run(starts[0][None])
     gained = base.total - min(fit.total for fit in candidates)
     return found if base.total - found.total > max(BETTER, BETTER_SHARE * gained) else None

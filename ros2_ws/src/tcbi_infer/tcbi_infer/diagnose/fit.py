@@ -16,7 +16,7 @@ from tcbi_infer.diagnose.slopes import Slopes, unbroken
 from tcbi_infer.diagnose.valley import points_along, weakest
 from tcbi_sim.model import Model
 
-RADII = (0.12, 0.08, 0.08)  # of a parameter's range: narrow slopes alone stall where feet stick and slip
+RADII = (0.12, 0.08)  # of a parameter's range: narrow slopes alone stall where feet stick and slip
 MOST = 2  # steps at each
 LONGER, SHORTER = 2.0, 0.4  # of the Gauss-Newton step: the longer one where the whole step is good, else the shorter
 GOOD = 0.5  # of the fall of the loss that the slopes promise
@@ -317,7 +317,7 @@ class Fitter:
         starts = np.array([f for f in far if np.abs(f - fit.unit).max() > min(np.abs(LEAPS)) / 4])
         few = self.on_few_sets()
         order = np.argsort(few.start_losses(few.predict(starts), fit.nuisance))[:RACERS]
-        raced = [few.run(starts[i][None], fit.nuisance, RACE) for i in order]
+        raced = [few.run(starts[i][None], fit.nuisance, RACE, valleys=False) for i in order]
         best = min(raced, key=lambda f: f.total)
         here = few.run(fit.unit[None], fit.nuisance, ())
         if not best.total < (1.0 - WORTH) * here.total:

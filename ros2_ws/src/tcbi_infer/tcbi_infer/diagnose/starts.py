@@ -72,7 +72,7 @@ def _raced(few: Fitter, starts: np.ndarray) -> np.ndarray:
     for start in starts[1:]:
         if len(chosen) < RACERS and min(np.max(np.abs(start - c)) for c in chosen) > FAR:
             chosen.append(start)
-    fits = [few.run(start[None], radii=RACE) for start in chosen]
+    fits = [few.run(start[None], radii=RACE, valleys=False) for start in chosen]
     return np.array([f.unit for f in sorted(fits, key=lambda f: f.total)])
 
 
