@@ -1,15 +1,15 @@
 """Slopes of a prediction, from all simulations near a place.
 
 A fit that takes a step keeps what it knows of the place before: simulations near the new one still tell its slopes,
-and only directions in which none lies near are simulated anew. Where a foot may stick or slip, many simulations around
-a place say more than two along each axis.
+and only where none lies near, on either side along each axis, are new ones made. Where a foot may stick or slip, many
+simulations around a place say more than two along each axis.
 """
 
 from collections.abc import Callable
 
 import numpy as np
 
-COVERED = 0.5  # squared radii, weighted: a direction in which simulations lie less far apart is simulated anew
+NEAR = 0.6  # of the radius: a place so near to a simulation needs none
 RIDGE = 0.03  # squared radii by which known slopes count, against those of the simulations
 LEAST_WEIGHT = 1e-3
 LEAST_FREEDOM = 0.3  # share of the simulations' degrees of freedom
@@ -72,12 +72,12 @@ class Slopes:
         return moves, np.exp(-0.5 * (np.abs(moves).max(axis=1, initial=0.0) / radius) ** 2)
 
     def _cover(self, unit: np.ndarray, radius: float) -> None:
-        """Simulate both ways along the directions in which too few simulations lie near."""
-        moves, weights = self._near(unit, radius)
-        covered, axes = np.linalg.eigh(np.einsum("n,np,nq->pq", weights, moves, moves) / radius**2)
-        thin = axes.T[covered < COVERED]
-        if len(thin):
-            units = np.concatenate([both_ways(unit, axis, radius) for axis in thin])
+        """Simulate the places both ways along each axis near which nothing has been simulated."""
+        places = np.concatenate([both_ways(unit, axis, radius) for axis in np.eye(len(unit))])
+        known = np.reshape(self._units, (-1, 1, len(unit)))
+        apart = np.abs(known - places).max(axis=-1).min(axis=0, initial=np.inf)
+        units = places[apart > NEAR * radius]
+        if len(units):
             self.remember(units, self._predict(units))
 
 
