@@ -107,7 +107,7 @@ def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter
 
 
 @pytest.mark.parametrize(
-    ("falls", "steps", "converged"), [([50, 50, 0], 3, True), ([0], 1, True), ([50] * 20, ROUNDS, False)]
+    ("falls", "steps", "converged"), [([50, 50, 0], 4, True), ([0], 2, True), ([50] * 20, 2 * ROUNDS, False)]
 )
 def test_a_fit_is_polished_until_its_loss_stays(fitter, monkeypatch, falls, steps, converged):
     begun = fitter.run(to_unit(MODEL, BASE)[None], radii=())

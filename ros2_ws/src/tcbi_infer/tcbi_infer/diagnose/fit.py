@@ -32,7 +32,7 @@ ROUGH_STEP = 0.01  # s at most, of the simulations that do
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
-CLOSE_RADII = (0.03,)  # with fine steps: a straight line over more bends where nothing slips
+CLOSE_RADII = (0.07, 0.03)  # with fine steps; a straight line over more than the last bends where nothing slips
 ROUNDS = 8  # steps at each: nearly all stay within six
 REWEIGHTED = 2  # times, as nuisances follow a trial with heavy tails
 
