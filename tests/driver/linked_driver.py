@@ -4,6 +4,7 @@ import time
 
 from hexapod_driver import calibration
 from hexapod_driver.link import Link, LinkSettings
+from hexapod_driver.posture import PostureGoal
 from hexapod_driver.readings import BoardReading, JointReading
 from tcbi_contract.safety import Limits
 
@@ -42,7 +43,9 @@ class Driver:
         def answer(success: bool, text: str) -> None:
             self.answers.append((success, text))
 
-        self.link.post(lambda r: r.begin_posture(target, tolerance, answer), lambda text: answer(False, text))
+        self.link.post(
+            lambda r: r.begin_posture(PostureGoal(tuple(target), tolerance), answer), lambda text: answer(False, text)
+        )
 
     def stop(self) -> None:
         self.link.emergency_stop(lambda success, text: self.answers.append((success, text)))

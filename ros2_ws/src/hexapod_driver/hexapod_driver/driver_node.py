@@ -21,6 +21,7 @@ from hexapod_driver import calibration, status
 from hexapod_driver.clock import RisingStamps
 from hexapod_driver.link import Link, LinkSettings
 from hexapod_driver.messages import command, diagnostics, not_settable, posture
+from hexapod_driver.posture import REST_S, PostureGoal
 from hexapod_driver.readings import BoardReading, JointReading, Reading
 from hexapod_driver.robot import Done, Robot
 from hexapod_driver.serial_port import BAUD_RATE, SENSOR_BAUD_RATE
@@ -51,6 +52,7 @@ class DriverParameters:
     command_timeout_s: float = parameter(0.4, "torque goes off after this long without a command, s", 0.25, 0.4)
     hold_after_reset_s: float = parameter(10.0, "how long a reset's posture waits for the first command, s", 0.4, 60.0)
     posture_tolerance: float = parameter(0.35, "how far a joint may rest from a reset's posture, rad", 0.01, 1.0)
+    posture_rest_s: float = parameter(REST_S, "how long the joints rest before a reset is done, s", 0.1, 3.0)
     needs_reset: bool = parameter(False, "refuse commands until reset_episode; the launcher sets it after a crash")
 
     def link_settings(self) -> LinkSettings:
@@ -199,16 +201,16 @@ class DriverNode(Node):
 
     async def _on_reset(self, request: ResetEpisode.Request, response: ResetEpisode.Response) -> ResetEpisode.Response:
         response.source = SOURCE
+        values = self.parameters
         try:
-            target = posture(request)
+            goal = PostureGoal(tuple(posture(request)), values.posture_tolerance, values.posture_rest_s)
         except CommandRefused as error:
             response.success, response.message = False, str(error)
             return response
-        tolerance = self.parameters.posture_tolerance
 
         def start(done: Done) -> None:
             def begin(robot: Robot) -> None:
-                robot.begin_posture(target, tolerance, done)
+                robot.begin_posture(goal, done)
 
             self.link.post(begin, lambda text: done(False, text))
 

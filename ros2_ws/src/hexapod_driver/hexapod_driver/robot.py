@@ -13,7 +13,7 @@ from hexapod_driver import feetech, sensor_board
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.errors import LinkLost
 from hexapod_driver.feetech import Packet, TimedMove
-from hexapod_driver.posture import PostureMove
+from hexapod_driver.posture import PostureGoal, PostureMove
 from hexapod_driver.readings import BoardReading, Health, JointReading, Reading
 from hexapod_driver.sensor_board import FrameError, Kind
 from hexapod_driver.timer import Timer
@@ -38,8 +38,7 @@ Done = Callable[[bool, str], None]
 class AskedPosture(NamedTuple):
     """A posture that cannot begin yet: since a stall of this computer, where the joints are is not known."""
 
-    target: tuple[float, ...]
-    tolerance: float
+    goal: PostureGoal
     done: Done
     patience_s: float  # until when, on the steady clock
 
@@ -105,8 +104,8 @@ class Robot:
         """
         self._send_move(self._safety.command(time.monotonic(), target, duration_s))
 
-    def begin_posture(self, target: Sequence[float], tolerance: float, done: Done) -> None:
-        """Move slowly to `target` (18,) rad; `done` is called once with success and a line.
+    def begin_posture(self, goal: PostureGoal, done: Done) -> None:
+        """Move slowly to a posture; `done` is called once with success and a line.
 
         It begins when a reading has told where the joints are, at once where the last one is fresh.
 
@@ -114,7 +113,7 @@ class Robot:
           CommandRefused: see `Safety.begin_reset`.
         """
         now = time.monotonic()
-        asked = AskedPosture(tuple(target), tolerance, done, now + KNOWN_S)
+        asked = AskedPosture(goal, done, now + KNOWN_S)
         if self._asked is None and not self._safety.knows_joints(now):
             self._asked = asked
         else:
@@ -295,7 +294,7 @@ class Robot:
     def _begin_posture(self, now: float, asked: AskedPosture) -> None:
         self._end_interrupted_posture()
         start, speed = self._safety.begin_reset(now), self._safety.limits.approach_speed
-        self._posture = PostureMove(asked.target, start, speed, asked.tolerance, now, asked.done)
+        self._posture = PostureMove(asked.goal, start, speed, now, asked.done)
 
     def _forget_asked(self, reason: str) -> None:
         asked, self._asked = self._asked, None
@@ -323,7 +322,7 @@ class Robot:
             return
         if posture.due(now):
             try:
-                self._send_move(self._safety.command(now, posture.target, CONTROL_PERIOD_S, from_reset=True))
+                self._send_move(self._safety.command(now, posture.goal.target, CONTROL_PERIOD_S, from_reset=True))
             except CommandRefused as error:
                 self._finish_posture(False, str(error))
                 return

@@ -1,13 +1,13 @@
 """The slow move of a reset: done when the joints rest, failed when one rests too far away."""
 
-from hexapod_driver.posture import PostureMove
+from hexapod_driver.posture import PostureGoal, PostureMove
 
 ZERO = (0.0,) * 18
 FAR = (0.4,) * 18
 
 
-def _move(tolerance: float = 0.1) -> PostureMove:
-    return PostureMove(ZERO, FAR, 0.5, tolerance, 0.0, lambda *_: None)
+def _move(tolerance: float = 0.1, rest_s: float = 0.6) -> PostureMove:
+    return PostureMove(PostureGoal(ZERO, tolerance, rest_s), FAR, 0.5, 0.0, lambda *_: None)
 
 
 def test_it_takes_the_time_that_the_speed_asks_for():
@@ -21,6 +21,14 @@ def test_it_waits_for_joints_that_still_move():
     move = _move()
     for k in range(20):
         assert move.outcome(1.0 + 0.1 * k, (0.02 * (k % 2),) * 18) is None
+
+
+def test_how_long_joints_rest_can_be_set():
+    hasty, patient = _move(rest_s=0.2), _move(rest_s=2.0)
+    for move in (hasty, patient):
+        move.outcome(1.0, ZERO)
+    assert hasty.outcome(1.21, ZERO)
+    assert patient.outcome(2.9, ZERO) is None
 
 
 def test_a_blocked_joint_fails_and_is_named():

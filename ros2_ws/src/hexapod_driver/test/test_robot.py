@@ -8,6 +8,7 @@ import pytest
 from hexapod_driver import calibration, feetech
 from hexapod_driver.feetech import Packet
 from hexapod_driver.link import Link, LinkSettings
+from hexapod_driver.posture import PostureGoal
 from hexapod_driver.readings import Health
 from hexapod_driver.robot import Robot
 from hexapod_driver.status import statuses
@@ -88,9 +89,9 @@ def test_an_emergency_stop_is_not_confirmed_by_the_answer_to_an_older_question(r
 
 def test_a_reset_that_went_limp_is_answered_when_another_begins_at_once(robot, safety):
     told: list[tuple[str, bool, str]] = []
-    robot.begin_posture(ZERO, 0.1, lambda *answer: told.append(("first", *answer)))
+    robot.begin_posture(PostureGoal(ZERO, 0.1), lambda *answer: told.append(("first", *answer)))
     safety.go_limp("no command in time")
-    robot.begin_posture(ZERO, 0.1, lambda *answer: told.append(("second", *answer)))
+    robot.begin_posture(PostureGoal(ZERO, 0.1), lambda *answer: told.append(("second", *answer)))
     assert told == [("first", False, "interrupted: no command in time")]
     robot.abandon("the end")
     assert [name for name, *_ in told] == ["first", "second"]

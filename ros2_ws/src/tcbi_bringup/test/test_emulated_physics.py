@@ -222,3 +222,26 @@ def test_a_controller_draws_otherwise_on_each_robot_and_trial_and_apart_from_the
 def test_a_script_of_the_wrong_shape_is_refused(target: np.ndarray) -> None:
     with pytest.raises(EmulatedRobotError, match="strictly increasing times"):
         EmulatedRobot(1, "none").rollout(Scene(), 1.0, Script(np.array([0.0, 0.2]), target))
+
+
+def test_a_limp_robot_comes_to_lie_still_and_stands_up_again() -> None:
+    body = physics(Scene(slope_roll=0.1, slope_pitch=0.05), settle=0.5)
+    for servo in range(18):
+        body.switch(servo, False)
+    body.advance_to(body.time + 20.0)
+    lying = body.data.qpos.copy()
+    body.advance_to(body.time + 1.0)
+    assert np.array_equal(body.data.qpos, lying)  # to the bit: its mechanics rest
+    samples = [body.read() for _ in range(50)]
+    assert np.abs(np.mean([s.angular_velocity for s in samples], axis=0)).max() < 0.005
+    weight = np.linalg.norm(np.mean([s.linear_acceleration for s in samples], axis=0))
+    assert weight == pytest.approx(GRAVITY, abs=0.06)
+    turned = 2 * np.arccos(min(abs(float(samples[-1].attitude @ body.true_attitude())), 1.0))
+    assert turned < 0.02  # the fused attitude does not run away from where the robot lies
+    assert samples[-1].contact.any()
+    for servo in range(18):
+        body.switch(servo, True)
+    body.send(STANCE, 0.5)
+    body.advance_to(body.time + 2.0)
+    assert np.abs(body.read().joint_position).max() < 0.35
+    assert body.true_position()[2] > 0.03

@@ -53,7 +53,7 @@ def processes(robot: Robot, folder: Path, store: Path, lab: Path) -> list[NodePr
         NodeProcess(
             "hexapod_driver",
             "driver_node",
-            parameters={"port": str(port), "approach_speed": 2.0},
+            parameters={"port": str(port), "approach_speed": 2.0, "posture_rest_s": 0.2},  # hands take it next
             after_crash=AFTER_CRASH,
             essential=True,
         ),

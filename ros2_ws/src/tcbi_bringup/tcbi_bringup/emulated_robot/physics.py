@@ -13,7 +13,7 @@ between two repeats of the same run: how the robot was put down, the noise of th
 import dataclasses
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -31,6 +31,7 @@ from tcbi_bringup.emulated_robot.servos import LOOP_PERIOD_S, STEP, Move, Servos
 SUBSTEPS = round(LOOP_PERIOD_S / mechanics.STEP_S)
 PACKET_S = 0.003  # goals sent within this time travel in one packet
 DROP_HEIGHT = 0.001  # m between the lowest foot and the ground when the robot is let go
+REST_TICKS, REST = 500, 1e-3  # a limp robot that moved and bent by less (m, rad) in so many ticks lies still
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,21 @@ class Sample:
     load: np.ndarray
 
 
+@dataclass(frozen=True)
+class Rest:
+    """Whether a robot lies still.
+
+    Attributes:
+      posture: (nq,) at the last look; None before the first.
+      still: whether its mechanics stand.
+      motion: (6,) what the IMU undergoes then, without the mount: rad/s, then m/s^2 with gravity.
+    """
+
+    posture: np.ndarray | None = None
+    still: bool = False
+    motion: np.ndarray = field(default_factory=lambda: np.zeros(6))
+
+
 class Physics:
     """A specimen in motion.
 
@@ -116,6 +132,7 @@ class Physics:
         behind = self._effect.polls_behind
         self._polled: deque[Sample] = deque(maxlen=behind + 1 if behind else 0)
         self._clock = 0  # ticks since the robot was switched on
+        self._rest = Rest()
         self._torque = np.zeros(characters.JOINT_COUNT)
         self._encoder = np.zeros(characters.JOINT_COUNT)
         self.place(Scene(), np.zeros(characters.JOINT_COUNT))
@@ -143,6 +160,7 @@ class Physics:
             angles = shaft = np.where(self.servos.on > 0, self.servos.goal, 0.0)
         else:
             angles = shaft = np.array(joint_position, float)
+        self._rest = Rest()
         self._build_on(scene, Circumstances.draw(self._hands))
         self._angles[:] = angles
         self._stand_on_the_ground(self.scene.yaw)
@@ -152,12 +170,8 @@ class Physics:
         if joint_position is not None:
             self.servos.reset(joint_position)
         self._encoder = np.rint(self.shaft / STEP) * STEP
-        chip = np.zeros(4)
-        mujoco.mju_mulQuat(chip, self.true_attitude(), np.array(mechanics.tilted(*self._build.imu_tilt)))
-        at_rest = np.zeros(3)  # seen by the chip; the robot has yet to fall the last hair
-        mujoco.mju_negQuat(chip_back := np.zeros(4), chip)
-        mujoco.mju_rotVecQuat(at_rest, np.array([0.0, 0.0, GRAVITY]), chip_back)
-        self._imu.reset(chip, at_rest)
+        chip = self._chip()
+        self._imu.reset(chip, weight_seen_by(chip))  # at rest; the robot has yet to fall the last hair
         self._switches.reset()
         self._polled.clear()
 
@@ -177,6 +191,7 @@ class Physics:
 
     def switch(self, index: int, on: bool) -> None:
         """Torque of one servo on or off."""
+        self._rest = Rest()
         self.servos.switch(index, on, float(self.shaft[index]))
 
     def advance_to(self, time: float) -> None:
@@ -241,6 +256,24 @@ class Physics:
         self._effect.bind(self.model)
 
     def _tick(self) -> None:
+        effect = self._effect
+        if self._rest.still:
+            motion = self._rest.motion
+            if self._drives:  # what has grown hot cools
+                effect.drive(np.zeros(characters.JOINT_COUNT), np.zeros(characters.JOINT_COUNT))
+        else:
+            self._move()
+            motion = self._motion
+            if self._clock % REST_TICKS == 0:
+                self._look_whether_it_lies_still()
+        self._clock += 1
+        self._imu.tick(effect.mount(motion, LOOP_PERIOD_S) if self._mounts else motion)
+        self._switches.tick(self._feet, self.time)
+        if self._polled.maxlen and self._clock % POLL_TICKS == 0:
+            self._polled.append(self._sample())
+
+    def _move(self) -> None:
+        """Mechanics and servos, a turn of the servos' loops."""
         encoder, effect, gear = self._encoder, self._effect, self._gear
         np.divide(self.shaft, STEP, out=encoder)
         np.rint(encoder, out=encoder)
@@ -258,11 +291,21 @@ class Physics:
             self.data.xfrc_applied[:] = 0.0
             effect.act(self.model, self.data)
         mujoco.mj_step(self.model, self.data, SUBSTEPS)
-        self._clock += 1
-        self._imu.tick(effect.mount(self._motion, LOOP_PERIOD_S) if self._mounts else self._motion)
-        self._switches.tick(self._feet, self.time)
-        if self._polled.maxlen and self._clock % POLL_TICKS == 0:
-            self._polled.append(self._sample())
+
+    def _look_whether_it_lies_still(self) -> None:
+        """A limp robot that does not move any more is left alone until a servo is switched on or hands come."""
+        posture = self.data.qpos.copy()
+        before, self._rest = self._rest.posture, Rest(posture)
+        if before is None or self.servos.on.any() or np.abs(posture - before).max() > REST:
+            return
+        self.data.qvel[:] = 0.0
+        self._rest = Rest(posture, still=True, motion=np.concatenate([np.zeros(3), weight_seen_by(self._chip())]))
+
+    def _chip(self) -> np.ndarray:
+        """(4,) w x y z, the IMU in the world."""
+        chip = np.zeros(4)
+        mujoco.mju_mulQuat(chip, self.true_attitude(), np.array(mechanics.tilted(*self._build.imu_tilt)))
+        return chip
 
     def _stand_on_the_ground(self, yaw: float) -> None:
         """Lift the robot until nothing touches, then lower it until its lowest part is a hair above what lies below."""
@@ -278,6 +321,14 @@ class Physics:
                 high = data.qpos[2]
         data.qpos[2] = high + DROP_HEIGHT
         mujoco.mj_forward(model, data)
+
+
+def weight_seen_by(chip: np.ndarray) -> np.ndarray:
+    """(3,) m/s^2 that an accelerometer at rest measures whose attitude in the world is (4,) w x y z."""
+    back, seen = np.zeros(4), np.zeros(3)
+    mujoco.mju_negQuat(back, chip)
+    mujoco.mju_rotVecQuat(seen, np.array([0.0, 0.0, GRAVITY]), back)
+    return seen
 
 
 def ground_attitude(scene: Scene) -> np.ndarray:
