@@ -191,7 +191,8 @@ class Physics:
 
     def switch(self, index: int, on: bool) -> None:
         """Torque of one servo on or off."""
-        self._rest = Rest()
+        if on:
+            self._rest = Rest()
         self.servos.switch(index, on, float(self.shaft[index]))
 
     def advance_to(self, time: float) -> None:
