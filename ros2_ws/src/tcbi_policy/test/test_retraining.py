@@ -350,3 +350,11 @@ def test_a_policy_that_two_keep_at_once_is_there_once(tmp_path: Path, monkeypatc
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda _: keep_policy(policy, tmp_path), range(2)))
     assert [p.stem for p in (tmp_path / "policies").glob("*.json")] == ["balance-1"]
+
+
+@pytest.mark.parametrize(("budget_s", "evaluations"), [(0.0, 48), (3.0, 16), (10.0, 24), (60.0, 48)])
+def test_a_short_budget_is_not_spent_on_evaluations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, budget_s: float, evaluations: int
+) -> None:
+    monkeypatch.setattr(retraining, "preset", lambda *_: dataclasses.replace(TINY, evaluations=48))
+    assert plan(job(tmp_path, budget_s=budget_s)).config.evaluations == evaluations
