@@ -173,7 +173,6 @@ def test_a_middleware_that_does_not_let_go_costs_a_node_neither_its_end_nor_its_
     code = (
         "import ctypes, sys, time; from rclpy.node import Node; from tcbi_contract import running\n"
         "from tcbi_contract.errors import TcbiError\n"
-        "running.PARTING_S = 1.0\n"
         "class Held(Node):\n"
         "    def __init__(self): super().__init__('held'); self.create_timer(0.1, self.work)\n"
         f"    def work(self): print('works', flush=True); {'raise TcbiError(chr(120))' if status else 'pass'}\n"

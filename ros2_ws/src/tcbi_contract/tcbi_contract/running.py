@@ -166,7 +166,7 @@ class Told:
         """All that is the node's own has ended: what still hangs tells where, in place of ending the process."""
         with self._watching:
             self._parting = True
-            faulthandler.dump_traceback_later(0.9 * PARTING_S)
+            faulthandler.dump_traceback_later(0.75 * PARTING_S)
 
     def _listen(self, heard: int) -> None:
         while os.read(heard, 1)[0] not in SIGNALS:
