@@ -14,12 +14,12 @@ from tcbi_infer.compare.signals import CONTACT, JOINT, RATE, Channel, Group, Lay
 from tcbi_infer.diagnose import adopt
 from tcbi_infer.diagnose.agreement import LEAST_KINDS, agreement, disagreeing
 from tcbi_infer.diagnose.evidence import Agreement
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.errors import InferError
 from tcbi_sim.measurement import Measurement
-from tcbi_sim.model import base_model
+from tcbi_sim.model import Model, base_model
 from tcbi_sim.parameter import Parameter
 
 MODEL = base_model("servo_bench")
@@ -33,7 +33,7 @@ def told(recordings: Sequence[Measurement]) -> dict[str, Agreement]:
     floor = noise_floor(replay.layout, replay.measured, residual, replay.replicates)
     problem, sets = Problem.of(replay, floor.values), np.arange(len(replay.replicates))
     none = Nuisance.none(problem)
-    first = Fitter(problem, MODEL, none, sets, 0.002).run(to_unit(MODEL, BASE)[None], radii=(0.03,))
+    first = Fitter(problem, MODEL, none, sets, 0.002).run(MODEL.to_unit(BASE)[None], radii=(0.03,))
     problem = problem.with_autocorrelation(first.residual)
     fit = Fitter(problem, MODEL, none, sets, 0.002).run(first.unit[None], radii=(0.03, 0.03))
     covariance = np.linalg.inv(fit.normal.sum(axis=0) + 1e-3 * np.eye(3))
@@ -107,7 +107,8 @@ class Synthetic:
     def told(self, signature: np.ndarray, error: np.ndarray) -> Agreement:
         """What is said after a fit to recordings that err by `error` (S, T, C)."""
         problem, sets, none = self.problem, np.arange(len(self.problem.observed)), Nuisance.none(self.problem)
-        model = types.SimpleNamespace(parameters=(Parameter("size", "1", -1.0, 1.0, 0.0),))
+        size = Parameter("size", "1", -1.0, 1.0, 0.0)
+        model = Model("one-v0", "hexapod", (), (size,), np.zeros((1, 1)), np.zeros(1))
         residual, scale, slopes = problem.residual(-error), np.ones(3), (signature * self.acts)[..., None]
         bend = np.zeros_like(residual)
         precision = Fitter(problem, model, none, sets, 0.0).precision(residual, scale, bend)

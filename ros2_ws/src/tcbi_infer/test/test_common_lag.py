@@ -12,7 +12,7 @@ from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.signals import ATTITUDE, JOINT, RATE
 from tcbi_infer.diagnose.diagnosis import _Run
-from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import Fitter, Nuisance
 from tcbi_infer.diagnose.heldout import held_out
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import base_model
@@ -115,7 +115,7 @@ def test_a_diagnosis_guards_against_it_on_held_out_motions(replay, by, count):
 def test_what_is_predicted_of_held_out_motions_is_kept_at_every_sample(replay):
     problem, sets = Problem.of(replay, replay.layout.floor()), np.arange(len(replay.replicates))
     none, mean = Nuisance.none(problem), MODEL.mean()[None]
-    fit = Fitter(problem, MODEL, none, sets, 0.005).run(to_unit(MODEL, mean), radii=())
+    fit = Fitter(problem, MODEL, none, sets, 0.005).run(MODEL.to_unit(mean), radii=())
     held = held_out(problem, fit, none, sets, 0.005)
     assert held.predicted == pytest.approx(replay.predict(MODEL, mean, timestep=0.005)[0], abs=1e-6)
     assert np.array_equal(problem.residual(held.predicted), held.residual)

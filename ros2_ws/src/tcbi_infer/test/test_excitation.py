@@ -10,7 +10,7 @@ from tcbi_contract.names import JOINT_LIMIT, JOINTS
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import Diagnosis, diagnose, excitation
 from tcbi_infer.diagnose.excitation import TELLING, advice, expected_ratio, planted
-from tcbi_infer.diagnose.fit import Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import Fitter, Nuisance
 from tcbi_infer.diagnose.motions import ready_motions, standard_motions
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.settings import QUICK
@@ -57,7 +57,7 @@ def test_a_probe_that_diverges_in_one_ready_motion_does_not_count_against_the_ot
     replay = Replay.of(model, record(model, BASE)[:4])
     problem = Problem.of(replay, replay.noise_floor(np.zeros_like(replay.measured)).values)
     fitter = Fitter(problem, model, Nuisance.none(problem), np.arange(2), 0.005)
-    base = fitter.run(to_unit(model, BASE)[None], radii=(0.02,))
+    base = fitter.run(model.to_unit(BASE)[None], radii=(0.02,))
     truth = planted(base, HEAVY, None)
     motions = ready_motions(load_rig(model.rig), replay.measurements)[:3]
     whole = expected_ratio(problem, truth, base, motions, 0.005)

@@ -1,7 +1,6 @@
 """Fits of a servo bench whose truth is known, from starts near and far."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,13 +10,13 @@ from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
 from tcbi_infer.diagnose.base_fit import base_starts
-from tcbi_infer.diagnose.fit import ROUNDS, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import ROUNDS, Fitter, Nuisance
 from tcbi_infer.diagnose.heldout import held_out
 from tcbi_infer.diagnose.null import noise_draws
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.screen import simulate_directions
 from tcbi_infer.diagnose.slopes import Slopes
-from tcbi_sim.model import base_model
+from tcbi_sim.model import Model, base_model
 from tcbi_sim.parameter import Parameter
 
 MODEL = base_model("servo_bench")
@@ -36,7 +35,7 @@ def fitter() -> Fitter:
 @pytest.mark.parametrize("start", [(0.5, 0.5, 0.5), (0.8, 0.4, 0.4)])
 def test_a_fit_comes_to_the_truth_and_knows_it(fitter, start):
     fit = fitter.polish(fitter.run(np.array([start])))
-    at_truth = fitter.run(to_unit(MODEL, BASE)[None], radii=())
+    at_truth = fitter.run(MODEL.to_unit(BASE)[None], radii=())
     assert fit.converged and fit.total <= at_truth.total + 1.0
     assert fit.parameters[0] == pytest.approx(BASE[0], rel=0.05)
 
@@ -56,7 +55,7 @@ def test_a_longer_step_is_tried_where_the_whole_one_is_good_and_a_shorter_one_wh
         return predict(self, unit)
 
     monkeypatch.setattr(Fitter, "predict", watched)
-    for start, longer in ((to_unit(MODEL, BASE) + 0.03, True), (np.array([0.58, 0.11, 0.44]), False)):
+    for start, longer in ((MODEL.to_unit(BASE) + 0.03, True), (np.array([0.58, 0.11, 0.44]), False)):
         tried.clear()
         fitter.run(start[None], radii=(0.02,), most=1)
         at_start, slopes, whole, other = tried
@@ -85,7 +84,7 @@ def everywhere(model, parameters):
 
 
 def test_a_motion_that_diverges_at_the_point_itself_costs_the_others_no_slopes(fitter, monkeypatch):
-    unit = to_unit(MODEL, BASE)
+    unit = MODEL.to_unit(BASE)
     slopes, bend = Slopes(fitter.predict).at(unit, fitter.predict(unit)[0], 0.05)
     diverge(monkeypatch, everywhere)
     left, departure = Slopes(fitter.predict).at(unit, fitter.predict(unit)[0], 0.05)
@@ -97,7 +96,7 @@ def test_a_motion_that_diverges_at_the_point_itself_costs_the_others_no_slopes(f
 
 def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter, monkeypatch):
     fitter = Fitter(fitter.problem, MODEL, fitter.nuisance, fitter.sets, 0.005)
-    good = dataclasses.replace(fitter.run(to_unit(MODEL, BASE)[None], radii=()), converged=True)
+    good = dataclasses.replace(fitter.run(MODEL.to_unit(BASE)[None], radii=()), converged=True)
     assert fitter.polish(good).converged
     diverge(monkeypatch, everywhere)
     fit = fitter.run(np.array([[0.5, 0.5, 0.5]]), radii=(0.05, 0.03))
@@ -110,7 +109,7 @@ def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter
     ("falls", "steps", "converged"), [([50, 50, 0], 4, True), ([0], 2, True), ([50] * 20, 2 * ROUNDS, False)]
 )
 def test_a_fit_is_polished_until_its_loss_stays(fitter, monkeypatch, falls, steps, converged):
-    begun = fitter.run(to_unit(MODEL, BASE)[None], radii=())
+    begun = fitter.run(MODEL.to_unit(BASE)[None], radii=())
     total, trials, stepped, left = fitter._total, fitter._trials, [], list(falls)
 
     def step(place, *slopes):
@@ -131,7 +130,7 @@ def test_a_fit_goes_on_where_its_valley_ends_at_the_bounds(fitter, monkeypatch):
 
 
 def test_a_use_that_diverges_at_every_size_is_not_said_to_change_nothing(fitter, monkeypatch):
-    base = fitter.run(to_unit(MODEL, BASE)[None], radii=())
+    base = fitter.run(MODEL.to_unit(BASE)[None], radii=())
     diverge(monkeypatch, lambda model, parameters: np.full(len(parameters), "backlash" in model.effects))
     uses = ("backlash", "command_latency")
     found = simulate_directions(fitter.problem, base, fitter.nuisance, uses, fitter.sets, 0.005)
@@ -139,7 +138,7 @@ def test_a_use_that_diverges_at_every_size_is_not_said_to_change_nothing(fitter,
 
 
 def test_uses_show_in_the_motions_in_which_the_base_model_does_not_diverge(fitter, monkeypatch):
-    base = fitter.run(to_unit(MODEL, BASE)[None], radii=())
+    base = fitter.run(MODEL.to_unit(BASE)[None], radii=())
     diverge(monkeypatch, everywhere)
     found = simulate_directions(fitter.problem, base, fitter.nuisance, ("backlash",), fitter.sets, 0.005)
     assert found.uses == ("backlash",) and not (found.untestable or found.diverging)
@@ -151,7 +150,7 @@ def test_a_single_kind_of_motion_is_predicted_by_its_own_fit_with_the_scatter_be
     shifted = dataclasses.replace(fitter.problem, observed=fitter.problem.observed + 2.0 * shift)
     scatter = Nuisance(np.broadcast_to(shift[..., None], (*shifted.observed.shape, 1)), ("joint",))
     one = np.array([LOST])
-    fit = Fitter(shifted, MODEL, scatter, one, 0.002).run(to_unit(MODEL, BASE)[None], radii=(0.02,))
+    fit = Fitter(shifted, MODEL, scatter, one, 0.002).run(MODEL.to_unit(BASE)[None], radii=(0.02,))
     held = held_out(shifted, fit, scatter, one, 0.002)
     assert fit.nuisance[0] > 1.0 and held.unit[0] == pytest.approx(fit.unit)
     np.testing.assert_allclose(held.residual, fit.residual, atol=1e-6)
@@ -160,10 +159,7 @@ def test_a_single_kind_of_motion_is_predicted_by_its_own_fit_with_the_scatter_be
 @pytest.mark.parametrize(("width", "count"), [(3, 27), (5, 32), (7, 128), (8, 128), (12, 128)])
 def test_a_fit_starts_at_different_corners_in_both_halves_of_every_range(width, count):
     parameters = tuple(Parameter(f"p{i}", "1", 0.0, 1.0, 0.5, description="") for i in range(width))
-    model = SimpleNamespace(
-        parameters=parameters,
-        mean=lambda: np.full(width, 0.5),
-    )
+    model = Model("wide-v0", "hexapod", (), parameters, np.full((1, width), 0.5), np.zeros(1))
     grid = base_starts(model)[2:]
     assert grid.shape == (count, width) and len(np.unique(grid, axis=0)) == count
     upper = (grid > 0.5).mean(axis=0)

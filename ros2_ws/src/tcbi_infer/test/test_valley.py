@@ -1,26 +1,21 @@
 """Lines along which forces and masses change together, whatever the scales of their ranges."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from tcbi_infer.diagnose.valley import points_along, weakest
+from tcbi_sim.model import Model
 from tcbi_sim.parameter import Parameter
 
 MASS = Parameter("mass", "kg", 0.4, 1.2, 0.8)
 GAIN = Parameter("gain", "N m/rad", 0.1, 8.0, 1.0, scale="log")
-MODEL = SimpleNamespace(parameters=(MASS, GAIN))
-
-
-def physical(units):
-    return np.array([[p.from_unit(u) for p, u in zip(MODEL.parameters, unit, strict=True)] for unit in units])
+MODEL = Model("two-v0", "hexapod", (), (MASS, GAIN), np.array([[0.8, 1.0]]), np.zeros(1))
 
 
 def test_the_ratio_of_a_mass_and_a_stiffness_stays_along_their_line():
     place = np.array([MASS.to_unit(0.6), GAIN.to_unit(1.2)])
     together = np.array([0.6 / 0.8, 1.0 / np.log(80.0)])  # both by the same share, in unit space
-    values = physical(points_along(MODEL, place, together))
+    values = MODEL.from_unit(points_along(MODEL, place, together))
     assert np.ptp(values[:, 0]) > 0.3
     np.testing.assert_allclose(values[:, 1] / values[:, 0], 2.0, rtol=1e-5)
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.diagnose.fit import RACE, Fit, Fitter, Nuisance, to_unit
+from tcbi_infer.diagnose.fit import RACE, Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.search import Progress
@@ -35,7 +35,8 @@ def base_starts(model: Model) -> np.ndarray:
         drawn = np.random.default_rng(0).choice(CORNERS, (4 * CORNER_STARTS, width))
         grid = np.array(list(dict.fromkeys(map(tuple, drawn)))[:CORNER_STARTS])
     nominal = np.array([p.nominal for p in model.parameters])
-    return np.concatenate([[to_unit(model, model.mean()), to_unit(model, nominal)], grid])
+    known = np.clip(model.to_unit(np.array([model.mean(), nominal])), 0.0, 1.0)
+    return np.concatenate([known, grid])
 
 
 def fit_base(

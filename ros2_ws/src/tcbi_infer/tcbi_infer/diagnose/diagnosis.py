@@ -35,7 +35,7 @@ from tcbi_infer.diagnose.evidence import (
     NextMotion,
 )
 from tcbi_infer.diagnose.false_alarms import false_alarms
-from tcbi_infer.diagnose.fit import Fit, Nuisance, to_physical
+from tcbi_infer.diagnose.fit import Fit, Nuisance
 from tcbi_infer.diagnose.judge import Judge, Judged, screened
 from tcbi_infer.diagnose.leftover import explain
 from tcbi_infer.diagnose.motions import ready_motions
@@ -132,7 +132,7 @@ class _Run:
         doubtful = [s for s in whole.open if at_mean[s]]
         if not doubtful:
             return whole, ()
-        starts = to_physical(self.model, base_starts(self.model))
+        starts = self.model.from_unit(base_starts(self.model))
         diverged = self.replay.simulate(self.model, starts, doubtful, self.settings.coarse).diverged.all(axis=0)
         lost = {doubtful[i] for i in np.flatnonzero(diverged)}
         if not lost:

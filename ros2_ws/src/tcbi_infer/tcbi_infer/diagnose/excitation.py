@@ -16,7 +16,7 @@ from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.motions import Motion
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_infer.diagnose.slopes import probe, straight
+from tcbi_infer.diagnose.slopes import both_ways
 
 STEP = 0.05  # of a range, of the finite differences
 FARTHEST = 0.25  # of a range, that a refit may go
@@ -135,12 +135,20 @@ def _slopes(fitter: Fitter, unit: np.ndarray, predicted: np.ndarray) -> tuple[np
 
     And (M,) whether these move every parameter: else a refit cannot be told, and the motion is not recommended.
     """
-    moves = probe(unit, STEP)
+    moves = np.concatenate([both_ways(unit, axis, STEP) for axis in np.eye(len(unit))]) - unit
     change = fitter.predict(unit + moves) - predicted
     alive = np.isfinite(change).all(axis=(2, 3))  # (n, M)
-    lines = [straight(moves[fine], change[fine, m]) for m, fine in enumerate(alive.T)]
+    lines = [_straight(moves[fine], change[fine, m]) for m, fine in enumerate(alive.T)]
     slopes, bends = (np.array(each) for each in zip(*lines, strict=True))
     return slopes, bends, np.array([moves[fine].any(axis=0).all() for fine in alive.T])
+
+
+def _straight(moves: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The slopes (..., P) of changes (n, ...) of a prediction with moves (n, P), and the root mean square departure."""
+    slopes = np.einsum("pn,n...->...p", np.linalg.pinv(moves), change)
+    departure = change - np.einsum("np,...p->n...", moves, slopes)
+    freedom = max(len(moves) - moves.shape[1], 1)
+    return slopes, np.sqrt((departure**2).sum(axis=0) / freedom)
 
 
 def _known(fit: Fit) -> np.ndarray:

@@ -87,23 +87,12 @@ class Fit:
     @property
     def parameters(self) -> np.ndarray:
         """(P,) in physical units."""
-        return to_physical(self.model, self.unit)
+        return self.model.from_unit(self.unit)
 
     @property
     def total(self) -> float:
         """Loss of the open sets and of the nuisances' prior."""
         return float(self.loss.sum() + 0.5 * self.nuisance @ self.nuisance)
-
-
-def to_physical(model: Model, unit: np.ndarray) -> np.ndarray:
-    """(..., P) unit -> physical."""
-    return np.stack([p.from_unit(unit[..., i]) for i, p in enumerate(model.parameters)], axis=-1)
-
-
-def to_unit(model: Model, values: np.ndarray) -> np.ndarray:
-    """(..., P) physical -> unit, clipped to [0, 1]."""
-    columns = [p.to_unit(values[..., i]) for i, p in enumerate(model.parameters)]
-    return np.clip(np.stack(columns, axis=-1), 0.0, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,7 +135,7 @@ class Fitter:
     def predict(self, unit: np.ndarray) -> np.ndarray:
         """(N, P) unit vectors -> (N, open sets, T, C)."""
         unit = np.atleast_2d(unit)
-        return self.problem.replay.predict(self.model, to_physical(self.model, unit), list(self.sets), self.timestep)
+        return self.problem.replay.predict(self.model, self.model.from_unit(unit), list(self.sets), self.timestep)
 
     def residual(self, predicted: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """(..., open sets, T, C) with the nuisances taken out."""

@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from tcbi_infer.diagnose.fit import Fit, Nuisance, to_physical
+from tcbi_infer.diagnose.fit import Fit, Nuisance
 from tcbi_infer.diagnose.least_squares import bounded_step
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.engine import simulate
@@ -79,7 +79,7 @@ def _predict_folds(
         owner[fold] = f
     rollouts = simulate(
         fit.model,
-        to_physical(fit.model, units[owner]),
+        fit.model.from_unit(units[owner]),
         [replay.scenarios[s] for s in sets],
         commands=[replay.commands[s] for s in sets],
         pairing="zip",

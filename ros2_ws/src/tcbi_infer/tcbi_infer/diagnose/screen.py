@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance, to_physical
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import SCATTER
 from tcbi_sim.model import Model
@@ -182,7 +182,7 @@ def _predicted(
     if joint:
         return np.empty(0)
     vectors = np.concatenate([np.repeat(unit[None], len(points), axis=0), points], axis=1)
-    return problem.replay.predict(model, to_physical(model, vectors), sets, timestep)
+    return problem.replay.predict(model, model.from_unit(vectors), sets, timestep)
 
 
 def _influence(problem: Problem, change: np.ndarray, sets: np.ndarray) -> float:

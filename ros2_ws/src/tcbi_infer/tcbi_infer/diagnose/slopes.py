@@ -95,16 +95,3 @@ def both_ways(unit: np.ndarray, axis: np.ndarray, radius: float) -> np.ndarray:
 def unbroken(values: np.ndarray) -> np.ndarray:
     """(S,) which sets of (S, T, C) predictions or residuals did not diverge."""
     return np.isfinite(values).all(axis=(1, 2))
-
-
-def straight(moves: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The slopes (..., P) of changes (n, ...) of a prediction with moves (n, P), and the root mean square departure."""
-    slopes = np.einsum("pn,n...->...p", np.linalg.pinv(moves), change)
-    departure = change - np.einsum("np,...p->n...", moves, slopes)
-    freedom = max(len(moves) - moves.shape[1], 1)
-    return slopes, np.sqrt((departure**2).sum(axis=0) / freedom)
-
-
-def probe(unit: np.ndarray, step: float) -> np.ndarray:
-    """(2 P, P) moves along each axis, both ways; near a bound, one and two steps inwards."""
-    return np.concatenate([both_ways(unit, axis, step) for axis in np.eye(len(unit))]) - unit

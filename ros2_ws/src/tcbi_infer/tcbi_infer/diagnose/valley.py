@@ -37,7 +37,7 @@ def points_along(model: Model, unit: np.ndarray, direction: np.ndarray) -> np.nd
       direction: (P,) of the line, there, in unit space.
     """
     ahead, back = np.clip(unit + NUDGE, 0.0, 1.0), np.clip(unit - NUDGE, 0.0, 1.0)
-    physical = np.array([[p.from_unit(u[i]) for i, p in enumerate(model.parameters)] for u in (back, unit, ahead)])
+    physical = model.from_unit(np.array([back, unit, ahead]))
     pace = (physical[2] - physical[0]) / (ahead - back) * direction / np.max(np.abs(direction))
     low, high = (np.array([getattr(p, side) for p in model.parameters]) for side in ("low", "high"))
     moving = pace != 0
@@ -45,4 +45,4 @@ def points_along(model: Model, unit: np.ndarray, direction: np.ndarray) -> np.nd
     first, last = INSIDE * ends[0].max(), INSIDE * ends[1].min()
     reach = np.unique(np.clip(REACH, first, last))
     values = np.clip(physical[1] + reach[np.abs(reach) > LEAST, None] * pace, low, high)
-    return np.stack([p.to_unit(values[:, i]) for i, p in enumerate(model.parameters)], axis=1)
+    return model.to_unit(values)
