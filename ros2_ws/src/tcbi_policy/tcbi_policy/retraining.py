@@ -44,8 +44,9 @@ SCRATCH = "none"
 RESTARTS = 3  # of a subprocess that dies
 FINE_TUNING_STEPS = 57_600  # two minutes on one core
 FINE_TUNING_SETS = 12  # of episodes: so many at least, which are more steps where episodes are long
-EVALUATED_PER_S = 2.4  # rollouts of an evaluation for each second of the budget: a short one is for learning
-LEAST_EVALUATED = 16
+# rollouts of an evaluation, and pairs of the comparison, for each second of the budget: a short one is for learning
+EVALUATED_PER_S, LEAST_EVALUATED = 2.4, 16
+PAIRS_PER_S, LEAST_PAIRS = 4.0, 32
 POLL_S = 0.1
 OUTCOME = "outcome.json"  # in the folder of a run: the comparison of its policy with its rival
 Event = dict[str, Any]
@@ -102,13 +103,15 @@ def plan(job: Job) -> Run:
     changes |= randomisation_of(begun or current, job.task, model)
     if job.budget_steps or job.budget_s:
         changes["steps"] = job.budget_steps
+    pairs = Run.pairs
     if job.budget_s:
         affordable = max(LEAST_EVALUATED, round(EVALUATED_PER_S * job.budget_s))
         changes["evaluations"] = min(config.evaluations, affordable)
+        pairs = min(pairs, max(LEAST_PAIRS, round(PAIRS_PER_S * job.budget_s)))
     rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
     config = dataclasses.replace(config, **changes).checked()
     randomised(model, config.effects, config.effect_share)  # refuses what cannot be before a process is started
-    return Run.of(config, model, store.root, start, rival)
+    return dataclasses.replace(Run.of(config, model, store.root, start, rival), pairs=pairs)
 
 
 def randomisation_of(policy: Actor, task: str, model: Model) -> dict[str, Any]:

@@ -352,9 +352,12 @@ def test_a_policy_that_two_keep_at_once_is_there_once(tmp_path: Path, monkeypatc
     assert [p.stem for p in (tmp_path / "policies").glob("*.json")] == ["balance-1"]
 
 
-@pytest.mark.parametrize(("budget_s", "evaluations"), [(0.0, 48), (3.0, 16), (10.0, 24), (60.0, 48)])
+@pytest.mark.parametrize(
+    ("budget_s", "evaluations", "pairs"), [(0.0, 48, 64), (3.0, 16, 32), (10.0, 24, 40), (60.0, 48, 64)]
+)
 def test_a_short_budget_is_not_spent_on_evaluations(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, budget_s: float, evaluations: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, budget_s: float, evaluations: int, pairs: int
 ) -> None:
     monkeypatch.setattr(retraining, "preset", lambda *_: dataclasses.replace(TINY, evaluations=48))
-    assert plan(job(tmp_path, budget_s=budget_s)).config.evaluations == evaluations
+    run = plan(job(tmp_path, budget_s=budget_s))
+    assert (run.config.evaluations, run.pairs) == (evaluations, pairs)

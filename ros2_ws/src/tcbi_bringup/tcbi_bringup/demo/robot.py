@@ -58,7 +58,7 @@ def processes(robot: Robot, folder: Path, store: Path, lab: Path) -> list[NodePr
             essential=True,
         ),
         NodeProcess(
-            "tcbi_bringup", "experimenter_node", parameters={"socket": str(socket), "seed": robot.seed, "settle_s": 0.5}
+            "tcbi_bringup", "experimenter_node", parameters={"socket": str(socket), "seed": robot.seed, "settle_s": 0.3}
         ),
         NodeProcess("tcbi_policy", "policy_node", parameters={"policy": "gait:stand", "store": str(store)}),
         NodeProcess("tcbi_infer", "recorder_node", parameters={"folder": str(folder / "rollouts")}),

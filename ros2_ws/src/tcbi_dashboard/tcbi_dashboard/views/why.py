@@ -179,7 +179,7 @@ class WhyView(View):
             limit = charts.number(d.get("threshold"), 2)
             soft(
                 "How much better unseen motions are predicted, with one standard error. "
-                f"Luck alone reaches {limit} standard errors."
+                f"In square roots of the motions' gains, luck alone reaches {limit} standard errors."
             )
         with card("The candidates in figures"):
             columns = {"use": "effect", "gain": "held-out gain / nats", "se": "s.e.", "before": "error before",

@@ -101,7 +101,7 @@ def _follows(time: np.ndarray, seen: np.ndarray, said: np.ndarray) -> float:
         return float("nan")
     inner = (time >= time[0] + late) & (time <= time[-1] - early)
     tried = STEP * np.arange(-round(early / STEP), round(late / STEP) + 1)
-    missed = np.array([_missed(seen[inner], np.interp(time[inner] - lag, time, said)) for lag in tried])
+    missed = _missed(seen[inner], np.interp(time[inner] - tried[:, None], time, said))
     best, at_none = int(np.argmin(missed)), float(missed[round(early / STEP)])
     told = abs(tried[best]) <= AGREE or at_none > HALVES * missed[best]
     return float(tried[best]) if told and missed[best] < FOLLOWS and 0 < best < len(tried) - 1 else float("nan")
@@ -114,8 +114,9 @@ def _longest(good: np.ndarray) -> slice:
     return slice(*max(runs, key=lambda run: run[1] - run[0])) if runs else slice(0, 0)
 
 
-def _missed(seen: np.ndarray, said: np.ndarray) -> float:
-    """Share of a signal's variance that a prediction does not explain."""
-    seen, said = seen - seen.mean(), said - said.mean()
-    size = float((seen**2).sum() * (said**2).sum())
-    return 1.0 - float((seen * said).sum()) ** 2 / size if size > 0 else 1.0
+def _missed(seen: np.ndarray, said: np.ndarray) -> np.ndarray:
+    """(N,) share of a signal's (T,) variance that each prediction (N, T) does not explain."""
+    seen, said = seen - seen.mean(), said - said.mean(axis=1, keepdims=True)
+    size = (seen**2).sum() * (said**2).sum(axis=1)
+    explained = np.divide((said @ seen) ** 2, size, out=np.zeros(len(said)), where=size > 0)
+    return np.asarray(1.0 - explained)

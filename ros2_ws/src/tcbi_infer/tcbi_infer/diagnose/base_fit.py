@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.diagnose.fit import RACE, Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import RACE, WORTH, Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.search import Progress
@@ -82,7 +82,8 @@ def better_base(
     """The base model's fit from a candidate's base parameters, where that is better: else the candidate would be
     credited with a valley that the base model was never shown.
 
-    Of several far starts each is fitted a little first: without the effect all lose, the nearest of them least.
+    Each far start is fitted a little to few sets first, and so is where the base model's fit ended: without the effect
+    most fall back to it.
 
     Args:
       base: the base model's fit with coarse steps.
@@ -97,11 +98,11 @@ def better_base(
         return None
     progress("fitting the base model again", 0.85)
     fitter = Fitter(problem, model, nuisance, sets, settings.coarse)
-    if len(starts) > 1:
-        few = fitter.on_few_sets()
-        starts = [
-            min((few.run(start[None], radii=RACE, valleys=False) for start in starts), key=lambda f: f.total).unit
-        ]
-    found = fitter.run(starts[0][None])
+    few = fitter.on_few_sets()
+    here, *raced = (few.run(start[None], radii=RACE, valleys=False) for start in (base.unit, *starts))
+    best = min(raced, key=lambda fit: fit.total)
+    if not best.total < (1.0 - WORTH) * here.total:
+        return None
+    found = fitter.run(best.unit[None])
     gained = base.total - min(fit.total for fit in candidates)
     return found if base.total - found.total > max(BETTER, BETTER_SHARE * gained) else None

@@ -224,9 +224,16 @@ class _Run:
         return lambda use: self.progress(f"screening {use}", 0.25 + 0.3 * next(count) / len(self.uses))
 
     def _drift(self, coarse: Fit, fine: Fit) -> np.ndarray:
-        """(P,) how far the optimum may still move below the fine time step, from how far it moved down to it."""
-        rest = self.settings.timestep / max(self.settings.coarse - self.settings.timestep, self.settings.timestep)
-        return rest * np.abs(fine.unit - coarse.unit)
+        """(P,) how far the optimum may still move below the fine time step.
+
+        From how far it moved down to it; and of a time by half a step, by which alone a simulation is late.
+        """
+        step = self.settings.timestep
+        rest = step / max(self.settings.coarse - step, step)
+        moved = rest * np.abs(fine.unit - coarse.unit)
+        values = zip(fine.model.parameters, fine.parameters, strict=True)
+        late = [float(p.to_unit(v + step / 2) - p.to_unit(v)) if p.unit == "s" else 0.0 for p, v in values]
+        return np.maximum(moved, late)
 
     def _conclude(
         self,

@@ -68,7 +68,7 @@ class Evidence:
     Attributes:
       effect: name in the library; `use` adds the place, as in "weak_leg:lm".
       elpd_gain: held-out gain of log score in nats, of all kinds of motion (`paired.total`); `elpd_se` its error.
-      statistic: gain over its standard error, both per kind of motion.
+      statistic: sum of the square roots of the kinds' gains over its standard error (`paired.statistic`).
       error_before: error over noise floor on rollouts that no fit saw, base model refitted.
       error_after: the same with the effect.
       held_out: error over noise floor before and after, of the open motions alone, each predicted without its own kind.

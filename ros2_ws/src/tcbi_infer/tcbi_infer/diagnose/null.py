@@ -56,8 +56,9 @@ def level(kinds: int) -> float:
 
 
 def threshold_of(maxima: np.ndarray, kinds: int) -> float:
-    """The point of the largest statistics of null data sets at `level`, and at least that of a single t test."""
-    return max(float(np.quantile(maxima, level(kinds))), paired.limit(kinds, LEVEL))
+    """The point of the largest statistics of null data sets at `level`, and at least that of one candidate alone whose
+    gains have no cause."""
+    return max(float(np.quantile(maxima, level(kinds))), paired.limit(kinds, level(kinds)))
 
 
 def sign_patterns(kinds: int, draws: int, rng: np.random.Generator) -> np.ndarray:

@@ -2,14 +2,16 @@
 
 Where a foot slips in one motion and not in its prediction, that motion's score says nothing of servos. The mean is
 trimmed and its standard error comes from the winsorised variance (Tukey and McLaughlin, Sankhya A 25, 1963); the limit
-that a gain must pass is simulated with the same statistic.
+that a statistic must pass is simulated with the same.
 """
 
+import functools
+
 import numpy as np
-from scipy.special import stdtrit
 
 TRIMMED = 0.2  # of the kinds of motion at either end: one of five to nine
-LEAST_SE = 0.3  # nats a kind, added in quadrature, so that tiny gains that agree by chance do not count
+LEAST_SE = 0.3  # of a root of nats a kind, added in quadrature: tiny gains that agree by chance do not count
+DRAWS, LARGE = 50_000, 100.0  # of simulated gains, nats
 
 
 def cut(count: int) -> int:
@@ -44,13 +46,26 @@ def total(gains: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def statistic(gains: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """(...) total gain over its standard error; 0 of a single kind of motion, -inf where the candidate diverged."""
-    gain, se = total(gains, sizes)
+    """(...) total of the gains' signed square roots over its standard error; 0 of a single kind of motion, -inf where
+    the candidate diverged.
+
+    A gain grows with the square of what a motion shows of an effect, so motions that show it more or less differ far
+    more in their gains than in the square roots of these.
+    """
+    share = (np.asarray(sizes, float) / np.mean(sizes)).reshape(-1, *[1] * (gains.ndim - 1))
+    with np.errstate(invalid="ignore"):
+        rates = gains / share
+        roots = np.sign(rates) * np.sqrt(np.abs(rates))
+    gain, se = total(roots * share, sizes)
     with np.errstate(invalid="ignore"):
         found = gain / np.sqrt(np.nan_to_num(se, nan=np.inf) ** 2 + (len(gains) * LEAST_SE) ** 2)
     return np.where(np.isneginf(gain), gain, found)
 
 
+@functools.lru_cache
 def limit(count: int, level: float) -> float:
-    """Student's quantile for one statistic of so many kinds of motion."""
-    return float(stdtrit(max(count - 2 * cut(count) - 1, 1), level))
+    """Quantile of the statistic where gains are normal, independent and zero in the mean; infinite of a single kind."""
+    if count < 2:
+        return np.inf
+    gains = np.random.default_rng(0).normal(size=(count, DRAWS)) * LARGE
+    return float(np.quantile(statistic(gains, np.ones(count)), level))

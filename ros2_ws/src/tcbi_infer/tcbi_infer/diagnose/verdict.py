@@ -76,8 +76,8 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
     result = []
     for other in others:
         difference = np.array(best.gains) - np.array(other.gains)
-        mean, se = paired.total(difference, np.array(best.sizes or [1] * len(difference)))
-        if not mean >= paired.limit(len(difference), LEVEL) * se:
+        statistic = paired.statistic(difference, np.array(best.sizes or [1] * len(difference)))
+        if not statistic >= paired.limit(len(difference), LEVEL):
             result.append(other)
     return result
 

@@ -140,8 +140,8 @@ def _ranking(d: Diagnosis, most: int = 12) -> Section:
         text=[
             f"{'Not every' if d.untried else 'Every'} effect of the library was tried. A bar is how much better "
             "motions are predicted that the fit had not seen; the whisker is its standard error between kinds of "
-            "motion. An effect must beat what searching so many effects finds by luck: "
-            f"{d.threshold:.1f} standard errors here.",
+            "motion. An effect must beat what searching so many effects finds by luck, in square roots of the motions' "
+            f"gains: {d.threshold:.1f} standard errors here.",
         ],
         figures=[Figure(svg, "Held-out gain of each candidate; in colour what the verdict names.", wide=True)],
         table=Table(head, rows, "All candidates in figures"),
