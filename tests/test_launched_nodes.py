@@ -173,11 +173,14 @@ def test_a_middleware_that_does_not_let_go_costs_a_node_neither_its_end_nor_its_
     code = (
         "import ctypes, sys, time; from rclpy.node import Node; from tcbi_contract import running\n"
         "from tcbi_contract.errors import TcbiError\n"
+        "running.PARTING_S = 2.0\n"
+        "def held():\n"
+        f"    while True: {'ctypes.PyDLL(None).sleep(600)' if holds else 'time.sleep(600)'}\n"  # a signal ends a sleep
         "class Held(Node):\n"
         "    def __init__(self): super().__init__('held'); self.create_timer(0.1, self.work)\n"
         f"    def work(self): print('works', flush=True); {'raise TcbiError(chr(120))' if status else 'pass'}\n"
         f"    def leave(self): open({str(tmp_path / 'left')!r}, 'w').close()\n"
-        f"    def destroy_node(self): {'ctypes.PyDLL(None).sleep(600)' if holds else 'time.sleep(600)'}\n"
+        "    def destroy_node(self): held()\n"
         "raise SystemExit(running.run('held', Held))\n"
     )
     ended, error = told_to_end(code, "works")

@@ -27,7 +27,7 @@ def test_how_long_joints_rest_can_be_set():
     hasty, patient = _move(rest_s=0.2), _move(rest_s=2.0)
     for move in (hasty, patient):
         move.outcome(1.0, ZERO)
-    assert hasty.outcome(1.21, ZERO)
+    assert (hasty.outcome(1.21, ZERO) or (False, ""))[0]
     assert patient.outcome(2.9, ZERO) is None
 
 

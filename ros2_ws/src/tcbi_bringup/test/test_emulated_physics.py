@@ -225,11 +225,14 @@ def test_a_script_of_the_wrong_shape_is_refused(target: np.ndarray) -> None:
 
 
 def test_a_limp_robot_comes_to_lie_still_and_stands_up_again() -> None:
-    body = physics(Scene(slope_roll=0.1, slope_pitch=0.05), settle=0.5)
+    body = physics(Scene(slope_roll=0.1, slope_pitch=0.05), settle=1.5)  # longer than from look to look
+    standing = body.true_position()[2]
     for servo in range(18):
         body.switch(servo, False)
     body.advance_to(body.time + 20.0)
     lying = body.data.qpos.copy()
+    assert body.true_position()[2] < standing - 0.02
+    body.switch(0, False)  # it is: nobody wakes
     body.advance_to(body.time + 1.0)
     assert np.array_equal(body.data.qpos, lying)  # to the bit: its mechanics rest
     samples = [body.read() for _ in range(50)]

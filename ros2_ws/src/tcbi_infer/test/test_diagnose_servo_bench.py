@@ -38,6 +38,15 @@ def test_its_size_is_inside_the_interval_and_the_interval_leaves_out_zero(late):
     assert delay.excludes_null and delay.high90 - delay.low90 < 0.02
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_latency_of_less_than_half_a_time_step_may_be_the_simulations_own(seed):
+    truth = base_model("servo_bench").with_effect("command_latency")
+    found = diagnose(base_model("servo_bench"), record(truth, np.r_[BASE, 0.0008], seed), uses=["command_latency"])
+    assert found.verdict == "nothing_missing"
+    for e in found.ranking:
+        assert not any(p.excludes_null for p in e.parameters)
+
+
 def test_the_error_falls_to_the_noise_floor_on_sealed_motions(late):
     best = late.ranking[0]
     assert best.error_before > 3.0 and best.error_after < 1.3
@@ -126,6 +135,10 @@ def test_one_kind_of_motion_is_enough_to_fit_the_one_effect_that_is_asked_for():
     truth = base_model("servo_bench").with_effect("command_latency")
     found = adopt.fit_effect(base_model("servo_bench"), "command_latency", record(truth, np.r_[BASE, 0.06])[:2])
     assert (found.verdict, found.effects) == ("cannot_tell", ()) and found.nothing_held_out
+    report = Report("one motion")
+    add_diagnosis(report, found)
+    assert found.ranking[0].reason == "of one kind of motion none can be held out"
+    assert " inf " not in report.html().replace(".", " ")
     child = adopted(found)
     assert child.mean()[-1] == pytest.approx(0.06, abs=0.02)
     (kept,) = history([dataclasses.replace(child, version="servo_bench-v1")])

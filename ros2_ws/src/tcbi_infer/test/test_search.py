@@ -159,7 +159,8 @@ def test_a_rival_explains_more_than_the_base_model_by_itself(made, monkeypatch, 
 class TwoValleys:
     """A fitter of one parameter whose loss is 50 in the wide valley at 0.2 and 0 in the narrow one at 0.8."""
 
-    used = 0
+    used = whole = 0  # how many were made, and how many whole fits
+    sets = np.arange(2)
 
     def __init__(self, *_: Any) -> None:
         TwoValleys.used += 1
@@ -171,6 +172,7 @@ class TwoValleys:
         return float(min(50 + 100 * abs(unit[0] - 0.2), 2000 * abs(unit[0] - 0.8)))
 
     def run(self, starts: np.ndarray, nuisance: Any = None, radii: Sequence[float] = (), valleys: bool = True) -> Any:
+        TwoValleys.whole += valleys
         start = min(starts, key=self.loss)
         unit = np.array([0.8 if start[0] > 0.7 else 0.2])
         return SimpleNamespace(unit=unit, total=self.loss(unit))
@@ -179,16 +181,22 @@ class TwoValleys:
 def base_again(monkeypatch: pytest.MonkeyPatch, *starts: float) -> Any:
     """The base model's fit where candidates ended at these base parameters, the present one being at 0.2."""
     monkeypatch.setattr(base_fit, "Fitter", TwoValleys)
-    TwoValleys.used = 0
+    TwoValleys.used = TwoValleys.whole = 0
     nothing: Any = None
     coarse: Any = SimpleNamespace(unit=np.array([0.2]), total=50.0)
     fits: Any = [SimpleNamespace(unit=np.array([start, 0.5]), total=0.0) for start in starts]
-    return better_base(nothing, nothing, nothing, nothing, Settings(), coarse, fits, lambda stage, share: None)
+    return better_base(nothing, nothing, nothing, np.arange(5), Settings(), coarse, fits, lambda stage, share: None)
 
 
-def test_a_valley_far_off_is_shown_to_the_base_model_though_a_nearer_start_loses_less(monkeypatch):
-    better = base_again(monkeypatch, 0.22, 0.3, 0.75)
+@pytest.mark.parametrize("starts", [(0.22, 0.3, 0.75), (0.75,)])
+def test_a_valley_far_off_is_shown_to_the_base_model_though_a_nearer_start_loses_less(monkeypatch, starts):
+    better = base_again(monkeypatch, *starts)
     assert better is not None and better.unit[0] == pytest.approx(0.8)
+
+
+def test_where_a_start_falls_back_on_few_sets_no_whole_fit_is_made(monkeypatch):
+    assert base_again(monkeypatch, 0.3) is None
+    assert TwoValleys.used == 1 and TwoValleys.whole == 0
 
 
 @pytest.mark.parametrize("starts", [(), (0.17, 0.24)])

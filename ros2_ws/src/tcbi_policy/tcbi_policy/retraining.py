@@ -46,7 +46,7 @@ FINE_TUNING_STEPS = 57_600  # two minutes on one core
 FINE_TUNING_SETS = 12  # of episodes: so many at least, which are more steps where episodes are long
 # rollouts of an evaluation, and pairs of the comparison, for each second of the budget: a short one is for learning
 EVALUATED_PER_S, LEAST_EVALUATED = 2.4, 16
-PAIRS_PER_S, LEAST_PAIRS = 4.0, 32
+PAIRS_PER_S, FEWEST_PAIRS = 4.0, 32
 POLL_S = 0.1
 OUTCOME = "outcome.json"  # in the folder of a run: the comparison of its policy with its rival
 Event = dict[str, Any]
@@ -107,7 +107,7 @@ def plan(job: Job) -> Run:
     if job.budget_s:
         affordable = max(LEAST_EVALUATED, round(EVALUATED_PER_S * job.budget_s))
         changes["evaluations"] = min(config.evaluations, affordable)
-        pairs = min(pairs, max(LEAST_PAIRS, round(PAIRS_PER_S * job.budget_s)))
+        pairs = min(pairs, max(FEWEST_PAIRS, round(PAIRS_PER_S * job.budget_s)))
     rival = current.policy_id if job.current.startswith(GAIT_PREFIX) else job.current
     config = dataclasses.replace(config, **changes).checked()
     randomised(model, config.effects, config.effect_share)  # refuses what cannot be before a process is started

@@ -119,7 +119,7 @@ def _print(d: "Diagnosis", path: Path, *, added: bool) -> None:
 
     for finding in d.guards:
         print(f"note: {finding}")
-    head = ["effect", "held-out gain", "s.e.", "gain / s.e.", "error before", "after", "size (90 % interval)"]
+    head = ["effect", "held-out gain", "s.e.", "statistic", "error before", "after", "size (90 % interval)"]
     rows = []
     for e in d.ranking[:10]:
         after = e.error_after if e.refined else None

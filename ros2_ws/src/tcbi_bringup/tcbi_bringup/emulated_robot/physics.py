@@ -192,7 +192,7 @@ class Physics:
     def switch(self, index: int, on: bool) -> None:
         """Torque of one servo on or off."""
         if on != self.servos.on[index]:
-            self._rest = Rest()  # one that stood still on its legs now falls
+            self._rest = Rest()  # on, it stands up; off, it falls
         self.servos.switch(index, on, float(self.shaft[index]))
 
     def advance_to(self, time: float) -> None:

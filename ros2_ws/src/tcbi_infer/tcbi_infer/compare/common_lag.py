@@ -61,9 +61,14 @@ def common_lag(
     ]
 
 
+def are_latencies(model: Model) -> list[bool]:
+    """(P) which parameters of a model belong to a latency."""
+    return [p.name.partition(".")[0].partition(":")[0] in LATENCIES for p in model.parameters]
+
+
 def without_latency(model: Model, parameters: np.ndarray) -> np.ndarray | None:
     """The (P,) parameters of a model as if its latencies were none; None if it has none."""
-    of_effect = [p.name.partition(".")[0].partition(":")[0] in LATENCIES for p in model.parameters]
+    of_effect = are_latencies(model)
     if not any(of_effect):
         return None
     return np.where(of_effect, [0.0 if p.null is None else p.null for p in model.parameters], parameters)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.diagnose.fit import RACE, WORTH, Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import RACE, Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter
 from tcbi_infer.diagnose.search import Progress
@@ -101,8 +101,8 @@ def better_base(
     few = fitter.on_few_sets()
     here, *raced = (few.run(start[None], radii=RACE, valleys=False) for start in (base.unit, *starts))
     best = min(raced, key=lambda fit: fit.total)
-    if not best.total < (1.0 - WORTH) * here.total:
+    least = max(BETTER, BETTER_SHARE * (base.total - min(fit.total for fit in candidates)))
+    if here.total - best.total < least * len(few.sets) / len(sets):
         return None
     found = fitter.run(best.unit[None])
-    gained = base.total - min(fit.total for fit in candidates)
-    return found if base.total - found.total > max(BETTER, BETTER_SHARE * gained) else None
+    return found if base.total - found.total > least else None

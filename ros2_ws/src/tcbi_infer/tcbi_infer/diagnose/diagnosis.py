@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tcbi_infer.compare.common_lag import LATENCIES, common_lag, without_latency
+from tcbi_infer.compare.common_lag import LATENCIES, are_latencies, common_lag, without_latency
 from tcbi_infer.compare.comparison import without_change
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter
@@ -226,13 +226,13 @@ class _Run:
     def _drift(self, coarse: Fit, fine: Fit) -> np.ndarray:
         """(P,) how far the optimum may still move below the fine time step.
 
-        From how far it moved down to it; and of a time by half a step, by which alone a simulation is late.
+        From how far it moved down to it; and of a latency by half a step, by which a simulation alone is late.
         """
         step = self.settings.timestep
         rest = step / max(self.settings.coarse - step, step)
         moved = rest * np.abs(fine.unit - coarse.unit)
-        values = zip(fine.model.parameters, fine.parameters, strict=True)
-        late = [float(p.to_unit(v + step / 2) - p.to_unit(v)) if p.unit == "s" else 0.0 for p, v in values]
+        widths = np.array([p.high - p.low for p in fine.model.parameters])
+        late = np.where(are_latencies(fine.model), step / 2 / widths, 0.0)
         return np.maximum(moved, late)
 
     def _conclude(

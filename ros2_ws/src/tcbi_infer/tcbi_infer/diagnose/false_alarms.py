@@ -5,7 +5,8 @@ from scipy.special import betaincinv
 
 from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose.evidence import FalseAlarms
-from tcbi_infer.diagnose.null import LEVEL, Null, level, threshold_of
+from tcbi_infer.diagnose.null import Null, threshold_of
+from tcbi_infer.diagnose.paired import LEVEL, level
 
 _FEW = (
     " With {kinds} kinds of motion the threshold aims at {level}: what all of them share by chance cannot be held off "

@@ -22,7 +22,6 @@ from tcbi_sim.rigs import load_rig
 
 LEAST_KINDS = 3  # of motion: a law's stiffness is chosen among the others of the one that judges it
 LEAST_SHARE = 0.1  # of the squared error beyond the noise: less is not called an explanation
-LEVEL = 0.95  # of the test, over kinds of motion, that a law predicts anything
 KNOTS, FINE_KNOTS = 8, 48  # of a law; of a law of the position, which may repeat with every tooth of a gear
 PENALTIES = (1.0, 5.0, 25.0, 125.0, 3000.0)  # 1: a law may be as large as the residual; the last allows next to nothing
 OFFSET, TEETH = "a constant offset", "teeth"
@@ -106,7 +105,7 @@ def _variable(name: str, explained: np.ndarray, excess: float, sizes: np.ndarray
     """From (F,) squared error that a law takes away in each kind of motion, in noise floors, and in nats of it."""
     share = float(explained[0].sum()) / excess
     se = float(np.std(explained[0], ddof=1) * np.sqrt(explained.shape[1])) / excess
-    certain = paired.statistic(explained[1], sizes) > paired.limit(len(sizes), LEVEL)
+    certain = paired.statistic(explained[1], sizes) > paired.limit(len(sizes))
     return Variable(name, float(np.clip(share, 0.0, 1.0)), se, bool(certain and share >= LEAST_SHARE))
 
 

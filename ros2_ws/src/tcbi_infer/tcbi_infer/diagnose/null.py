@@ -12,14 +12,12 @@ import itertools
 import numpy as np
 
 from tcbi_infer.compare.noise import mean_of
-from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.screen import Screen, Targets
 
 DRAWS = 300
-LEVEL = 0.95
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,20 +43,10 @@ class Null:
         return Null(np.inf, np.zeros(0), 0, Targets(np.zeros(0), np.zeros(0)), np.zeros(0))
 
 
-def level(kinds: int) -> float:
-    """The share of null data sets that the threshold must hold off.
-
-    K kinds of motion have 2^(K-1) patterns of sign, and in the worst of them whatever the model lacks looks like an
-    effect in every kind. Of five that alone is more than 5 %, so that no data could pass a threshold at 95 %: there it
-    lies in the middle of the second worst. With fewer, of which no false-alarm rate is told, it is left at 95 %.
-    """
-    return min(LEVEL, 1 - 3 / 2**kinds) if kinds >= MIN_KINDS else LEVEL
-
-
 def threshold_of(maxima: np.ndarray, kinds: int) -> float:
-    """The point of the largest statistics of null data sets at `level`, and at least that of one candidate alone whose
-    gains have no cause."""
-    return max(float(np.quantile(maxima, level(kinds))), paired.limit(kinds, level(kinds)))
+    """The point of the largest statistics of null data sets at the level of so many kinds, and at least that of one
+    candidate alone whose gains have no cause."""
+    return max(float(np.quantile(maxima, paired.level(kinds))), paired.limit(kinds))
 
 
 def sign_patterns(kinds: int, draws: int, rng: np.random.Generator) -> np.ndarray:

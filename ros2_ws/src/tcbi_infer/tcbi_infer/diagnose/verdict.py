@@ -20,7 +20,6 @@ from tcbi_infer.diagnose.evidence import (
     in_doubt,
 )
 
-LEVEL = 0.95  # of the test that one candidate is better than another
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
 WIDELY = 0.25  # quantile over the kinds of motion that must err so much, before it is more than a slip in one of them
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
@@ -49,11 +48,11 @@ def accept(evidence: Evidence, threshold: float, unfitted: float) -> tuple[bool,
     """
     if not evidence.refined:
         return False, "its first estimate was too low for a full fit"
+    if not np.isfinite(threshold):
+        return False, "of one kind of motion none can be held out"
     if not evidence.statistic > threshold:
-        return (
-            False,
-            f"its held-out gain is {evidence.statistic:.1f} standard errors, the search alone reaches {threshold:.1f}",
-        )
+        told = f"{evidence.statistic:.1f} standard errors above zero"
+        return False, f"the roots of its held-out gains lie {told}, those of the search alone {threshold:.1f}"
     sized = [p for p in evidence.parameters if p.null is not None]
     if sized and not any(p.excludes_null for p in sized):
         return False, "its size may be zero"
@@ -77,7 +76,7 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
     for other in others:
         difference = np.array(best.gains) - np.array(other.gains)
         statistic = paired.statistic(difference, np.array(best.sizes or [1] * len(difference)))
-        if not statistic >= paired.limit(len(difference), LEVEL):
+        if not statistic >= paired.limit(len(difference)):
             result.append(other)
     return result
 

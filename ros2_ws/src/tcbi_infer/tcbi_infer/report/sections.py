@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from tcbi_contract.wording import with_unit
 from tcbi_infer.compare.history import history
 from tcbi_infer.compare.ladder import lineage
@@ -128,21 +130,25 @@ def _ranking(d: Diagnosis, most: int = 12) -> Section:
         "effect",
         "gain",
         "s.e.",
-        "gain / s.e.",
+        "statistic",
         "error before",
         "after",
         "size (90 % interval)",
         "accepted?",
         "looks like",
     ]
+    text = [
+        f"{'Not every' if d.untried else 'Every'} effect of the library was tried. A bar is how much better motions "
+        "are predicted that the fit had not seen; the whisker is its standard error between kinds of motion."
+    ]
+    if np.isfinite(d.threshold):
+        text.append(
+            "The statistic is the sum of the square roots of these gains, kind by kind, over its standard error. What "
+            f"searching so many effects finds by luck is {d.threshold:.1f} here, which an effect must beat."
+        )
     return Section(
         "Which effect explains the error?",
-        text=[
-            f"{'Not every' if d.untried else 'Every'} effect of the library was tried. A bar is how much better "
-            "motions are predicted that the fit had not seen; the whisker is its standard error between kinds of "
-            "motion. An effect must beat what searching so many effects finds by luck, in square roots of the motions' "
-            f"gains: {d.threshold:.1f} standard errors here.",
-        ],
+        text=text,
         figures=[Figure(svg, "Held-out gain of each candidate; in colour what the verdict names.", wide=True)],
         table=Table(head, rows, "All candidates in figures"),
         folded=True,
