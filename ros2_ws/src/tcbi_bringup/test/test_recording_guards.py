@@ -42,6 +42,16 @@ def late(m: Measurement, by: float) -> Measurement:
     return dataclasses.replace(m, time=m.time + by)
 
 
+def without(m: Measurement, begin: float, end: float) -> Measurement:
+    """The same rollout without any message between two times (s)."""
+    names = ("time", "joint_position", "attitude", "angular_velocity", "linear_acceleration", "contact", "position")
+    kept = (m.time <= begin) | (m.time >= end)
+    rows = {name: getattr(m, name)[kept] for name in names if getattr(m, name) is not None}
+    told = (m.commands.time <= begin) | (m.commands.time >= end)
+    commands = dataclasses.replace(m.commands, time=m.commands.time[told], target=m.commands.target[told])
+    return dataclasses.replace(m, commands=commands, **rows)
+
+
 def with_joints(m: Measurement, joints: np.ndarray) -> Measurement:
     return dataclasses.replace(m, joint_position=joints)
 
@@ -117,6 +127,21 @@ def test_a_robot_with_a_latency_is_no_fault_of_the_recording():
     slow = recorded(LATENCY)
     assert guard(slow) == [] and max(Following(m).lag for m in slow) > 0.06
     assert all(a is b for a, b in zip(aligned(slow).measurements, slow, strict=True))
+
+
+@pytest.mark.parametrize("begin", [0.3, 0.8, 1.31])
+def test_a_gap_in_a_short_recording_is_told_as_a_gap_alone(begin):
+    request = Request("balance", 1, 0, slope_roll=(0.1,), slope_pitch=(0.0,), duration_s=2.2)
+    m = measure(EmulatedRobot(512, "none", "strong"), scenario_of(request, 0), Gait("sinus"), trial=0)
+    findings = guard([without(m, begin, begin + 0.5)])
+    assert guard([m]) == [] and len(findings) == 2
+    assert findings[0].startswith("No samples from") and findings[1].startswith("No commands from")
+
+
+def test_a_clock_that_runs_fast_is_named_beside_a_gap(clean):
+    plant, words = FAULTS["the sensors' clock runs fast"]
+    findings = guard([plant(without(m, 1.0, 1.5)) for m in clean])
+    assert any(words in finding for finding in findings), findings
 
 
 @pytest.mark.parametrize("fault", FAULTS)

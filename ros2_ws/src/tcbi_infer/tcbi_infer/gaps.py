@@ -67,6 +67,26 @@ def _longer(time: np.ndarray, limit: float) -> list[Gap]:
     return [Gap(float(time[k]), float(time[k + 1])) for k in np.flatnonzero(np.diff(time) > limit).tolist()]
 
 
+def untold(m: Measurement) -> list[Gap]:
+    """Where it is not known what the joints were asked: what is missing, and on until a new command is carried out.
+
+    A gap in the samples may have cost commands too, unless there are some inside.
+    """
+    time, ramp = m.commands.time, m.commands.ramp
+    if not len(time):
+        return []
+    found = []
+    for gap in sample_gaps(m.time):
+        if not np.any((time > gap.begin) & (time < gap.end)):
+            later = time[time >= gap.end]
+            found.append(Gap(gap.begin, float(later[0]) + ramp if len(later) else np.inf))
+    if m.foot_names:
+        end = min(m.scenario.duration, float(m.time[-1]))
+        period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        found += [Gap(gap.begin + period, gap.end + ramp) for gap in command_gaps(m.commands, end)]
+    return found
+
+
 @dataclass(frozen=True)
 class Unusable:
     """Which times of a rollout must not be compared.

@@ -12,7 +12,7 @@ from tcbi_infer.bags.streams import Record
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.errors import NothingToCompareError
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.gaps import Gap, command_gaps, sample_gaps, unusable
+from tcbi_infer.gaps import Gap, command_gaps, sample_gaps, untold, unusable
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import base_model
@@ -74,6 +74,16 @@ def test_after_a_gap_in_its_commands_a_robot_on_feet_is_elsewhere_and_a_bench_wa
     assert "No commands from 0.80 to 2.00 s" in spoilt.sentences[0]
     on_a_bench = dataclasses.replace(gone, foot_names=(), contact=None)
     assert not unusable(on_a_bench, GRID).averages.any() and not unusable(on_a_bench, GRID).sentences
+
+
+def test_what_the_joints_were_asked_is_unknown_from_the_first_missing_command_until_a_new_one_is_carried_out(rollout):
+    gone = dataclasses.replace(rollout, commands=without(rollout.commands, 1.0, 1.8))
+    asked_again = pytest.approx(2.0 + rollout.commands.ramp)
+    assert untold(rollout) == [] and untold(gone) == [Gap(pytest.approx(1.0), asked_again)]
+    kept = (rollout.time <= 0.9) | (rollout.time >= 1.9)
+    samples = {"time": rollout.time[kept], "joint_position": rollout.joint_position[kept], "foot_names": ()}
+    assert untold(dataclasses.replace(rollout, **samples)) == [], "the commands are there"
+    assert untold(dataclasses.replace(gone, **samples)) == [Gap(pytest.approx(0.9, abs=0.021), asked_again)]
 
 
 @pytest.mark.parametrize("lost", ["commands", "samples"])

@@ -14,6 +14,7 @@ import numpy as np
 
 from tcbi_infer.compare.replicates import by_torque, find_replicates
 from tcbi_infer.compare.signals import Layout, reference
+from tcbi_infer.gaps import untold
 from tcbi_infer.readings import shifted
 from tcbi_sim.measurement import Measurement
 
@@ -21,6 +22,7 @@ MOVES = np.radians(2.0)  # rad, standard deviation of a command that counts as m
 STEP, COARSE, REACH = 0.005, 0.02, 1.0  # s, of the lags tried
 BETWEEN_REACH = 0.3  # s, of the lags tried between repeats
 MOST_JOINTS = 6  # that a lag or rate is read from
+LEAST_SAMPLES = 20  # that tell anything of a clock
 LEADS, LONGEST = -0.04, 0.45  # s; less is impossible for a robot, more is no servo's latency
 NEARLY = 1.15  # times what the best lag misses: lags that explain a slow motion as well
 BETWEEN = 0.03  # s by which repeats must differ in lag for a finding
@@ -48,7 +50,7 @@ class Following:
 
     def __init__(self, m: Measurement) -> None:
         self.measurement, self.told = m, False
-        if not len(m.commands.time) or len(m.time) < 20 or by_torque(m):
+        if not len(m.commands.time) or len(m.time) < LEAST_SAMPLES or by_torque(m):
             return
         self._begin = m.time[0] - REACH
         grid = np.arange(self._begin, m.time[-1] + REACH + STEP, STEP)
@@ -57,25 +59,56 @@ class Following:
         self.joints = np.nonzero(moving)[0]
         self.told = bool(len(self.joints))
         self._asked, self._seen = asked[:, moving], m.joint_position[:, moving]
-        self._most = np.argsort(-np.std(self._asked, axis=0))[:MOST_JOINTS]
+        most = np.argsort(-np.std(self._asked, axis=0))[:MOST_JOINTS]
+        self._asked_most, self._seen_most = (np.ascontiguousarray(v[:, most]) for v in (self._asked, self._seen))
+        self._known = np.ones(len(grid), bool)
+        for gap in untold(m):
+            self._known &= (grid <= gap.begin) | (grid >= gap.end)
+        self.told &= bool(self.known().sum() >= LEAST_SAMPLES)
 
     def asked(self, lag: float = 0.0, rate: float = 1.0) -> np.ndarray:
         """(T, moving joints) rad asked at the samples' times as a clock of this lag (s) and rate would have them."""
+        return self._asked[self._places(lag, rate)]
+
+    def known(self, lag: float = 0.0, rate: float = 1.0) -> np.ndarray:
+        """(T,) bool: samples at which it is known what was asked; false where a gap may have cost commands."""
+        return self._known[self._places(lag, rate)]
+
+    def pairs(self, lag: float = 0.0, rate: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """(N, moving joints) rad asked and as many seen, at the N samples at which it is known what was asked."""
+        known = self.known(lag, rate)
+        return self.asked(lag, rate)[known], self._seen[known]
+
+    def missed(self, lag: float = 0.0, rate: float = 1.0, among: np.ndarray | None = None) -> float:
+        """Share of the variance of the joints that move most, which their commands do not explain, at any gain.
+
+        Args:
+          among: (T,) bool, samples that count; None for all at which it is known what was asked.
+        """
+        places = self._places(lag, rate)
+        among = self._known[places] if among is None else among
+        if among.sum() < LEAST_SAMPLES:
+            return 1.0
+        asked, seen = self._asked_most[places[among]], self._seen_most[among]
+        return float(np.mean(1.0 - correlation(asked, seen) ** 2))
+
+    def _both_missed(self, lag: float, other: tuple[float, float]) -> tuple[float, float]:
+        """What a lag misses, and what another lag and rate do, at the samples at which both know what was asked."""
+        among = self.known(lag) & self.known(*other)
+        return self.missed(lag, among=among), self.missed(*other, among=among)
+
+    def _places(self, lag: float, rate: float) -> np.ndarray:
+        """(T,) where on the grid a clock of this lag (s) and rate would have the samples."""
         m = self.measurement
         at = m.time[0] + (m.time - m.time[0]) * rate - lag
         index = np.round((at - self._begin) / STEP).astype(int)
-        return self._asked[np.clip(index, 0, len(self._asked) - 1)]
-
-    def missed(self, lag: float = 0.0, rate: float = 1.0) -> float:
-        """Share of the variance of the joints that move most, which their commands do not explain, at any gain."""
-        asked, seen = self.asked(lag, rate)[:, self._most], self._seen[:, self._most]
-        return float(np.mean(1.0 - correlation(asked, seen) ** 2))
+        return np.clip(index, 0, len(self._asked) - 1)
 
     @cached_property
     def gain(self) -> np.ndarray:
         """(moving joints) how many times as far as asked each joint moves, once it has left its start."""
         m = self.measurement
-        settled = m.time > m.commands.time[0] + m.commands.ramp + 0.2
+        settled = self.known() & (m.time > m.commands.time[0] + m.commands.ramp + 0.2)
         asked, seen = self.asked(0.0)[settled], self._seen[settled]
         size = np.std(asked, axis=0) if len(asked) else np.zeros(len(self.joints))
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -103,8 +136,8 @@ class Following:
         """Whether no lag that a robot could have explains the motion nearly as well; a slow one may seem to lead."""
         if not self.lag <= LEADS:
             return False
-        least = NEARLY * self.missed(self.lag)
-        return all(self.missed(lag) > least for lag in np.arange(LEADS / 2, LONGEST, COARSE))
+        both = (self._both_missed(lag, (self.lag, 1.0)) for lag in np.arange(LEADS / 2, LONGEST, COARSE))
+        return all(possible > NEARLY * least for possible, least in both)
 
     @cached_property
     def rate(self) -> tuple[float, float]:
@@ -114,17 +147,22 @@ class Following:
         """
         if not self.told:
             return 1.0, 1.0
-        right = min(self.missed(lag) for lag in np.arange(-REACH, REACH, 2 * COARSE))
+        lags = np.arange(-REACH, REACH, 2 * COARSE)
+        right = min(self.missed(lag) for lag in lags)
         if right < WELL:
             return 1.0, 1.0
         length = float(self.measurement.time[-1] - self.measurement.time[0])
         step = float(np.clip(0.1 / length, 0.002, 0.02))
         rates = 1.0 + step * np.arange(-round(FASTEST / step), round(FASTEST / step) + 1)
-        best = np.array([min(self.missed(lag, rate) for lag in np.arange(-0.04, 0.25, 2 * COARSE)) for rate in rates])
-        k = int(np.argmin(best))
-        gain = float(right / best[k])
-        found = abs(rates[k] - 1) > max(LEAST_RATE, DRIFT / length) and best[k] < FOLLOWS and gain > RATE_GAIN
-        return (float(1.0 / rates[k]), gain) if found else (1.0, 1.0)
+        tried = [(lag, rate) for rate in rates for lag in np.arange(-0.04, 0.25, 2 * COARSE)]
+        missed = [self.missed(*other) for other in tried]
+        least = int(np.argmin(missed))
+        rate = float(tried[least][1])
+        explains = missed[least] < min(FOLLOWS, right / RATE_GAIN)
+        if not explains or abs(rate - 1) <= max(LEAST_RATE, DRIFT / length):
+            return 1.0, 1.0
+        gain = min(one / max(other, 1e-9) for one, other in (self._both_missed(lag, tried[least]) for lag in lags))
+        return (1.0 / rate, gain) if gain > RATE_GAIN else (1.0, 1.0)
 
 
 def clock_rate(followings: Sequence[Following]) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from tcbi_infer.compare.clocks import LONGEST, MOVES, Following, aligned, clock_rate, correlation
 from tcbi_infer.compare.imu_guards import check_imu
 from tcbi_infer.compare.replicates import find_replicates
-from tcbi_infer.gaps import unusable
+from tcbi_infer.gaps import sample_gaps, unusable
 from tcbi_sim.measurement import Measurement
 
 SWAPPED = 0.7  # correlation of a joint with the command that it is said to follow; less comes about by chance
@@ -23,6 +23,7 @@ UNITS = {180 / np.pi: "degrees", 4096 / (2 * np.pi): "raw encoder counts", 1023 
 OFF_UNIT = 5.0  # times its command that a joint in rad never moves
 HELD = 0.4  # share of repeated samples in motion that is no chance
 SIGNALS = ("attitude", "angular_velocity", "linear_acceleration", "contact", "position")  # that may be missing
+FEW_GAPS = 5  # that are told each; a stream with more comes in bursts
 CUT = 0.3  # s by which a recording ends before its repeat, which no jitter of the end explains
 ALONE = ": the repeat counts alone there"
 IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than this changes nothing
@@ -125,7 +126,9 @@ def _clock(m: Measurement) -> list[str]:
         findings.append("Time stamps repeat or go backwards")
     if abs(m.time[0]) > 1.0:
         findings.append("The samples start more than 1 s away from the rollout's begin: another clock, or a cut bag")
-    median, mean = float(np.median(steps)), float(np.mean(steps))
+    gaps = [gap.begin for gap in sample_gaps(m.time)]
+    unbroken = steps[~np.isin(m.time[:-1], gaps)] if len(gaps) <= FEW_GAPS else steps
+    median, mean = float(np.median(steps)), float(np.mean(unbroken))
     if mean > 1.2 * median:
         findings.append(f"The stream claims {1 / median:.0f} Hz but delivers {1 / mean:.0f} Hz")
     if m.commands.time.size and m.commands.time[0] > m.time[-1]:
@@ -156,7 +159,7 @@ def _held(m: Measurement) -> list[str]:
 def _units(m: Measurement, following: Following) -> list[str]:
     largest = float(np.nanmax(np.abs(m.joint_position)))
     if following.told:
-        asked, seen = following.asked(_found(following)), m.joint_position[:, following.joints]
+        asked, seen = following.pairs(_found(following))
         slope = float(np.nanmedian(following.gain)) if np.isfinite(following.gain).any() else 1.0
         if slope > OFF_UNIT:
             unit = next((name for k, name in UNITS.items() if 0.75 < slope / k < 1.25), "another unit than radians")
@@ -183,10 +186,11 @@ def _echo(m: Measurement, following: Following) -> list[str]:
         return []
     seen = m.joint_position[:, following.joints]
     best = np.full(len(following.joints), np.inf)
-    for lag in ECHO_LAGS:
+    for lag in (lag for lag in ECHO_LAGS if following.known(lag).any()):
+        known = following.known(lag)
         held = m.commands.target[np.clip(np.searchsorted(m.commands.time, m.time - lag + 1e-6) - 1, 0, None)]
         for asked in (following.asked(lag), held[:, following.joints]):
-            best = np.minimum(best, np.quantile(np.abs(asked - seen), 0.9, axis=0))
+            best = np.minimum(best, np.quantile(np.abs(asked - seen)[known], 0.9, axis=0))
     echoes = [m.joint_names[j] for j, far in zip(following.joints, best, strict=True) if far < SAME]
     if not echoes:
         return []
@@ -199,7 +203,7 @@ def _wiring(m: Measurement, following: Following) -> list[str]:
     """Mirrored joints move against their command; swapped ones follow each other's."""
     if not following.told:
         return []
-    asked, seen = following.asked(_found(following)), m.joint_position[:, following.joints]
+    asked, seen = following.pairs(_found(following))
     follows = np.std(seen, axis=0) > MOVES / 2
     if not follows.any():
         return []
