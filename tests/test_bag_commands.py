@@ -10,6 +10,7 @@ from rclpy.node import Node
 from tcbi_bringup import cli
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_measurement
+from tcbi_infer.bags.writer import BagWriter
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 
 
@@ -76,7 +77,7 @@ def test_recover_tells_of_every_bag_and_fails_if_one_cannot_be_repaired(tmp_path
     options = ["--json"] if as_json else []
     assert cli.main(["recover", *map(str, sorted(tmp_path.iterdir())), *options]) == 1
     captured = capsys.readouterr()
-    assert captured.err.count("\n") == 1 and "b.mcap: not one message can be read" in captured.err
+    assert captured.err.count("\n") == 1 and "b.mcap: the bag is empty, it holds not one message" in captured.err
     assert (tmp_path / "a.damaged").is_dir() and (tmp_path / "c.damaged").is_dir()
     if as_json:
         told = json.loads(captured.out)["bags"]
@@ -100,14 +101,37 @@ def test_recover_leaves_the_originals_of_earlier_repairs_alone(tmp_path, capsys)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["swing", "swing.damaged"]
 
 
-@pytest.mark.parametrize("command", ["recover", "replay"])
-@pytest.mark.parametrize("what", ["missing", "empty_folder", "not_mcap.mcap"])
-def test_what_is_no_bag_is_one_line_and_status_1(tmp_path, capsys, command, what):
-    (tmp_path / "empty_folder").mkdir()
-    (tmp_path / "not_mcap.mcap").write_text("hello, I am a text of some length")
+@pytest.mark.parametrize("command", ["compare", "recover", "replay"])
+@pytest.mark.parametrize(
+    ("what", "content", "remedy"),
+    [
+        ("missing", None, "give a bag's folder or an .mcap file"),
+        (".", None, "give a bag's folder or an .mcap file"),
+        ("text.mcap", b"hello, I am a text of some length", "give a bag that was recorded as MCAP"),
+        ("passwd", b"root:x:0:0", "passwd: is no bag, allowed are a bag's folder and an .mcap file; give one of these"),
+        ("old.db3", b"SQLite format 3\0", "rosbags-convert --src "),
+        ("whole.mcap.zstd", b"\x28\xb5\x2f\xfd", "unzstd whole.mcap.zstd"),
+        ("empty.mcap", b"", "it holds not one message (empty.mcap: the file has no bytes); leave it out, or record it"),
+        ("begun.mcap", b"\x89MCAP0\r\n", "not one message (begun.mcap: the recording was never closed); leave it out"),
+        ("cut.mcap", b"\x89MCAP0\r\n\1\0", "not one message can be read, 2 bytes are lost (cut.mcap: the file ends"),
+    ],
+)
+def test_what_is_no_bag_is_one_line_that_says_what_to_do_and_status_1(tmp_path, capsys, command, what, content, remedy):
+    if content is not None:
+        (tmp_path / what).write_bytes(content)
     assert cli.main([command, str(tmp_path / what)]) == 1
     captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1 and what in captured.err
+    assert captured.out == "" and captured.err.count("\n") == 1 and remedy in captured.err
+    assert ("rosbags-convert" in captured.err) == (what == "old.db3") and "recover writes" not in captured.err
+
+
+def test_a_sound_bag_without_messages_is_told_to_be_empty(tmp_path, capsys):
+    with BagWriter(tmp_path, "nothing") as writer:
+        pass
+    assert cli.main(["recover", str(writer.path)]) == 0
+    assert "nothing to repair, 0 messages; the bag is empty, leave it out or record it again" in capsys.readouterr().err
+    assert cli.main(["replay", str(writer.path)]) == 1
+    assert "the bag is empty, it holds not one message; leave it out, or record it again" in capsys.readouterr().err
 
 
 def test_replay_does_not_move_a_robot_that_listens(tmp_path, capsys, peer):

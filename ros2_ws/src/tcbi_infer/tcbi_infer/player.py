@@ -11,7 +11,7 @@ import numpy as np
 
 from tcbi_contract import names
 from tcbi_infer.bags.files import mcap_files
-from tcbi_infer.bags.scan import Scan
+from tcbi_infer.bags.scan import Scan, no_message
 from tcbi_infer.bags.schemas import MESSAGES, stamp_of
 from tcbi_infer.bags.streams import JUMP_S, longest_stretch, prefix, relative
 from tcbi_infer.errors import BagError
@@ -68,8 +68,9 @@ def schedule(bag: Path, topics: tuple[str, ...] = ()) -> Schedule:
     others: set[str] = set()
     spaces: set[str] = set()
     notes: list[str] = []
-    for file in mcap_files(bag):
-        scan = Scan(file)
+    unwanted: set[str] = set()
+    scans = [Scan(file) for file in mcap_files(bag)]
+    for scan in scans:
         for message in scan.messages():
             name = relative(message.channel.topic, message.channel.message_type)
             if name is None:
@@ -79,11 +80,16 @@ def schedule(bag: Path, topics: tuple[str, ...] = ()) -> Schedule:
                     spaces.add(prefix(message.channel.topic, name))
                 stamp = stamp_of(message.data) or 0
                 cues.append(Cue(stamp if stamp > 0 else message.log_time, name, message.data))
-        notes += [f"{file.name} is damaged: {text}" for text in scan.damage]
+            else:
+                unwanted.add(name)
+        notes += [f"{scan.path.name} is damaged: {text}" for text in scan.damage]
+    if not cues and unwanted:
+        raise BagError(f"{bag}: holds no message of {', '.join(topics)}; choose from {', '.join(sorted(unwanted))}")
+    if not cues and others:
+        has = ", ".join(sorted(others))
+        raise BagError(f"{bag}: holds no message of the contract's topics; it has {has}; play it with `ros2 bag play`")
     if not cues:
-        raise BagError(
-            f"{bag}: holds no message of the contract's topics; it has {', '.join(sorted(others)) or 'none'}"
-        )
+        raise no_message(bag, scans)
     if len(spaces) > 1:
         raise BagError(f"{bag}: holds the joint_states of {len(spaces)} robots; play it with `ros2 bag play`")
     cues = sorted(_on_one_clock(cues, notes), key=lambda cue: cue.time)

@@ -261,7 +261,7 @@ def test_an_empty_bag_says_so(tmp_path):
 def test_an_empty_file_says_so(tmp_path):
     path = tmp_path / "x.mcap"
     path.touch()
-    with pytest.raises(BagError, match=r"the bag is empty.*x\.mcap is damaged"):
+    with pytest.raises(BagError, match=r"the bag is empty.*x\.mcap: the file has no bytes"):
         read_measurement(path)
 
 

@@ -8,6 +8,7 @@ from tcbi_infer.bags.encoding import messages
 from tcbi_infer.bags.measurement_writer import START_NS, write_measurement
 from tcbi_infer.bags.scan import Scan
 from tcbi_infer.bags.writer import BagWriter
+from tcbi_infer.errors import BagError
 from tcbi_infer.player import schedule
 from tcbi_sim.errors import UnknownNameError
 
@@ -28,6 +29,18 @@ def test_only_the_wanted_topics_are_played(tmp_path):
     assert schedule(bag, (IMU,)).topics == (IMU,)
     with pytest.raises(UnknownNameError, match=r"unknown topic 'imu'; .*known: joint_states, imu/data"):
         schedule(bag, ("imu",))
+
+
+def test_a_bag_without_what_is_wanted_says_what_it_has_and_what_to_do(tmp_path):
+    with BagWriter(tmp_path, "lab") as bag:
+        bag.append(bag.add_topic("/wheels", "std_msgs/msg/Float64"), START_NS, bytes(12))
+    with pytest.raises(BagError, match=r"of the contract's topics; it has /wheels; play it with `ros2 bag play`"):
+        schedule(bag.path)
+    with BagWriter(tmp_path, "events") as bag:
+        topic, time, data = next(iter(messages(rollout(), START_NS)))
+        bag.write(f"/{topic}", time, data)
+    with pytest.raises(BagError, match=f"holds no message of {IMU}; choose from {ROLLOUT_EVENT}"):
+        schedule(bag.path, (IMU,))
 
 
 def test_a_cut_off_bag_plays_as_far_as_it_goes_and_says_so(tmp_path):

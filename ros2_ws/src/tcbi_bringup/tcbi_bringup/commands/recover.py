@@ -73,7 +73,8 @@ def _answer(recovery: "Recovery", error: str) -> dict[str, Any]:
 def _show(recovery: "Recovery") -> None:
     count = counted(recovery.messages, "message")
     if not recovery.repaired:
-        console.note(f"{recovery.bag}: nothing to repair, {count}")
+        empty = "" if recovery.messages else "; the bag is empty, leave it out or record it again"
+        console.note(f"{recovery.bag}: nothing to repair, {count}{empty}")
         return
     reason = "; ".join(recovery.damage) or "it had no metadata"
     lost = counted(recovery.lost_bytes, "byte")

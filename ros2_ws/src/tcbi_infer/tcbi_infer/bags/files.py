@@ -9,6 +9,7 @@ from tcbi_infer.bags.writer import UNFINISHED
 from tcbi_infer.errors import BagError
 
 ASIDE = ".damaged"  # suffix of an original that was repaired and kept
+SQLITE = (".db3", ".sqlite3")  # of bags of another storage
 LOCK = ".recorder.lock"  # held by the recorder that uses a folder
 
 
@@ -23,10 +24,7 @@ def mcap_files(bag: Path) -> list[Path]:
             return [bag]
         if bag.name == "metadata.yaml":
             return mcap_files(bag.parent)
-        raise BagError(
-            f"{bag}: got a {bag.suffix or 'nameless'} file, allowed are a bag's folder and an .mcap file; "
-            f"{_convert(bag)}"
-        )
+        raise BagError(f"{bag}: is no bag, allowed are a bag's folder and an .mcap file; {_instead_of(bag)}")
     if not bag.is_dir():
         raise BagError(f"{bag}: there is no such bag; give a bag's folder or an .mcap file")
     files = sorted(bag.glob("*.mcap"), key=_natural)
@@ -129,8 +127,20 @@ def _what_instead(folder: Path) -> str:
         return f"holds no .mcap file; {_convert(database.parent)}"
     packed = next(folder.rglob("*.mcap.zstd"), None)
     if packed:
-        return f"{packed.name} is compressed as a whole; unpack it with: unzstd {packed.name} -o {packed.stem}"
+        return _unpack(packed)
     return "holds no bag (no .mcap file); give a bag's folder or an .mcap file"
+
+
+def _instead_of(file: Path) -> str:
+    if file.suffix in SQLITE:
+        return _convert(file)
+    if file.name.endswith(".mcap.zstd"):
+        return _unpack(file)
+    return "give one of these, or turn a log into a bag with ./tcbi import"
+
+
+def _unpack(file: Path) -> str:
+    return f"{file.name} is compressed as a whole; unpack it with: unzstd {file.name} -o {file.stem}"
 
 
 def _convert(path: Path) -> str:

@@ -12,7 +12,7 @@ import yaml
 
 from tcbi_infer.bags import schemas
 from tcbi_infer.bags.files import ASIDE, bag_name, is_recording, mcap_files, set_aside
-from tcbi_infer.bags.scan import CDR, Channel, Message, Scan
+from tcbi_infer.bags.scan import CDR, Channel, Message, Scan, no_message
 from tcbi_infer.bags.writer import UNFINISHED, BagWriter, Topic, offered_qos
 from tcbi_infer.errors import BagError
 
@@ -59,7 +59,7 @@ def recover(bag: Path, owned: bool = False) -> Recovery:
     if not recovery.damage and final == bag and (not is_folder or (bag / "metadata.yaml").is_file()):
         return recovery
     if not recovery.messages:
-        raise BagError(f"{bag}: not one message can be read ({'; '.join(recovery.damage) or 'the recording is empty'})")
+        raise no_message(bag, scans)
     aside = _free_name(final, is_folder)
     if final != bag and final.exists():
         raise BagError(f"{final} exists already; move it away, then recover {bag.name} again")

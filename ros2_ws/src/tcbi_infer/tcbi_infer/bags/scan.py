@@ -8,7 +8,7 @@ same way. Only a file that is not MCAP at all raises.
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -22,6 +22,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, Header, Metadata, Schema
 
+from tcbi_contract.wording import counted
 from tcbi_infer.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -81,10 +82,11 @@ class Scan:
             magic = file.read(len(MAGIC))
             if magic != MAGIC[: len(magic)]:
                 raise BagError(
-                    f"{self.path}: begins with {magic!r}, an MCAP file begins with {MAGIC!r}; it is another format"
+                    f"{self.path}: begins with {magic!r}, an MCAP file begins with {MAGIC!r}; it is another format: "
+                    "give a bag that was recorded as MCAP, or turn a log into one with ./tcbi import"
                 )
             if len(magic) < len(MAGIC):
-                self._damaged("the file ends in its first bytes", len(magic))
+                self._damaged("the file ends in its first bytes" if magic else "the file has no bytes", len(magic))
                 return
             while not self.finished:
                 start = file.tell()
@@ -191,6 +193,19 @@ class Scan:
             yield from self._records_in(data)
         except _FAULTS:
             return  # what was decompressed ends in a damaged record; the loss is already counted
+
+
+def no_message(bag: Path, scans: Sequence[Scan]) -> BagError:
+    """The error of a bag in whose files, all of them read, there is not one message."""
+    damage = [f"{scan.path.name}: {text}" for scan in scans for text in scan.damage]
+    more = f" and {len(damage) - 1} more places" if len(damage) > 1 else ""
+    because = f" ({damage[0]}{more})" if damage else ""
+    lost = sum(scan.lost_bytes for scan in scans)
+    what = f"not one message can be read, {counted(lost, 'byte')} are lost"
+    return BagError(
+        f"{bag}: {what if lost else 'the bag is empty, it holds not one message'}{because}; "
+        "leave it out, or record it again"
+    )
 
 
 def decompressed(data: bytes, compression: str, size: int) -> bytes:

@@ -15,7 +15,7 @@ from tcbi_contract import names
 from tcbi_contract.wording import counted
 from tcbi_infer.bags import schemas
 from tcbi_infer.bags.files import mcap_files
-from tcbi_infer.bags.scan import CDR, Channel, Message, Scan
+from tcbi_infer.bags.scan import CDR, Channel, Message, Scan, no_message
 from tcbi_infer.errors import BagError
 
 JUMP_S = 0.5  # s back in time: less is messages overtaking each other, more is a clock that was set
@@ -54,19 +54,18 @@ def load(bag: Path, namespace: str | None = None) -> Recording:
     kept: dict[str, list[Message]] = {}
     types: dict[str, str] = {}
     recording = Recording(bag)
-    for file in mcap_files(bag):
-        scan = Scan(file)
+    scans = [Scan(file) for file in mcap_files(bag)]
+    for scan in scans:
         for message in scan.messages():
             recording.count += 1
             topic = message.channel.topic
             types[topic] = message.channel.message_type
             if relative(topic, message.channel.message_type) is not None:
                 kept.setdefault(topic, []).append(message)
-        recording.notes += _cut(file, scan)
+        recording.notes += _cut(scan)
     recording.topics = tuple(sorted(types))
     if not recording.count:
-        why = _because(recording.notes)
-        raise BagError(f"{bag}: the bag is empty, it holds not one message{why}; leave it out, or record it again")
+        raise no_message(bag, scans)
     recording.namespace = _namespace(bag, kept, namespace)
     for topic, messages in kept.items():
         name = relative(topic, types[topic])
@@ -110,18 +109,14 @@ def _namespace(bag: Path, kept: dict[str, list[Message]], wanted: str | None) ->
     return found[0] if found else ""
 
 
-def _cut(file: Path, scan: Scan) -> list[str]:
+def _cut(scan: Scan) -> list[str]:
     if not scan.damage:
         return []
     more = f" and {len(scan.damage) - 1} more places" if len(scan.damage) > 1 else ""
     return [
-        f"{file.name} is damaged: {scan.damage[0]}{more}; {scan.lost_bytes} bytes are unreadable, the rest is used "
-        f"(./tcbi recover writes a repaired copy)"
+        f"{scan.path.name} is damaged: {scan.damage[0]}{more}; {scan.lost_bytes} bytes are unreadable, the rest is "
+        f"used (./tcbi recover writes a repaired copy)"
     ]
-
-
-def _because(notes: list[str]) -> str:
-    return f" ({notes[0]})" if notes else ""
 
 
 def _records(name: str, messages: list[Message], notes: list[str]) -> list[Record]:
