@@ -68,6 +68,22 @@ def test_a_check_says_what_is_wrong_and_ends_with_status_1(tmp_path: Path, capsy
     assert "fit for use" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("lost", "status", "said"),
+    [(".json", 1, "its card mine.json is missing beside it; copy both files again"), (".safetensors", 2, "not exist")],
+)
+def test_a_file_that_is_not_there_is_a_wrong_call_and_a_policy_without_its_card_a_damaged_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], lost: str, status: int, said: str
+) -> None:
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    save_policy(tmp_path / "mine", shipped.mlp, dataclasses.replace(shipped.card, name="mine"))
+    (tmp_path / f"mine{lost}").unlink()
+    assert cli.main(["policy", str(tmp_path / "mine.safetensors"), "--store", str(tmp_path)]) == status
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1
+
+
 def test_a_damaged_policy_is_left_out_with_a_note_that_names_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from tcbi_contract.errors import describe
 from tcbi_policy.entries import FILE_NAME, LIST, NAMES, NUMBER, OBJECT, TEXT, faults
 from tcbi_policy.errors import PolicyDamaged, PolicyError, PolicyNotFound
 from tcbi_policy.gaits import GAITS, Gait
@@ -89,8 +90,9 @@ class Card:
         """
         try:
             data = json.loads(text)
-            if data.pop("format") != CARD_FORMAT:
-                raise PolicyDamaged(f"card format is not {CARD_FORMAT}; it was written by another version of tcbi")
+            if (found := data.pop("format")) != CARD_FORMAT:
+                remedy = "another version of tcbi wrote it: use that one, or train the policy again with this one"
+                raise PolicyDamaged(describe("card.format", found, str(CARD_FORMAT), remedy))
             wrong = [
                 *faults(data, CARD_ENTRIES, "card"),
                 *faults(data["layout"], LAYOUT_ENTRIES, "card.layout"),
@@ -173,17 +175,18 @@ def load_policy(path: Path, robot: Layout = HEXAPOD) -> Policy:
     """Read and check a policy.
 
     Raises:
-      PolicyNotFound: the file or its card is missing.
-      PolicyDamaged: either cannot be read, or they do not belong together.
+      PolicyNotFound: there is no such file.
+      PolicyDamaged: its card is missing, either cannot be read, or they do not belong together.
       PolicyMisfit: it is for another robot.
     """
     card_path = path.with_suffix(".json")
     try:
-        for wanted in (path, card_path):
-            if not wanted.is_file():
-                raise PolicyNotFound(
-                    f"{wanted} does not exist; a policy is a .safetensors file with its .json card beside it"
-                )
+        if not path.is_file():
+            raise PolicyNotFound(
+                f"{path} does not exist; a policy is a .safetensors file with its .json card beside it"
+            )
+        if not card_path.is_file():
+            raise PolicyDamaged(f"its card {card_path.name} is missing beside it; copy both files again")
         data = path.read_bytes()
         card = Card.from_json(card_path.read_text())
         if hashlib.sha256(data).hexdigest() != card.sha256:
@@ -191,8 +194,12 @@ def load_policy(path: Path, robot: Layout = HEXAPOD) -> Policy:
         check_fit(card.name, card.layout, robot)
         policy = Policy(Mlp.from_tensors(load(data), card.layout.limit), card, path)
         _check_shape(policy)
-    except (OSError, SafetensorError, UnicodeDecodeError, PolicyDamaged) as e:
+    except PolicyDamaged as e:
         raise PolicyDamaged(f"{path}: {e}") from e
+    except OSError as e:
+        raise PolicyDamaged(f"{path}: {e}; see that it and its card can be read") from e
+    except (SafetensorError, UnicodeDecodeError) as e:
+        raise PolicyDamaged(f"{path}: {e}; copy both files again") from e
     except (KeyError, TypeError, ValueError) as e:  # of the safetensors library, for a type that numpy has not
         raise PolicyDamaged(f"{path}: holds arrays that cannot be read ({e!r}); allowed is float32") from e
     return policy
@@ -204,7 +211,8 @@ def _check_shape(policy: Policy) -> None:
     expected = (len(layout.observation), len(layout.action))
     if seen != expected:
         raise PolicyDamaged(
-            f"the network maps {seen[0]} values to {seen[1]}, its card says {expected[0]} to {expected[1]}"
+            f"the network maps {seen[0]} values to {seen[1]}, its card says {expected[0]} to {expected[1]}; "
+            "copy both files again"
         )
 
 

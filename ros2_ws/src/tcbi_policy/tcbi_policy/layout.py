@@ -8,6 +8,7 @@ from tcbi_policy.entries import NAMES, POSITIVE, TEXT
 from tcbi_policy.errors import PolicyMisfit
 
 ATTITUDE_NAMES = ("roll", "pitch", "yaw_since_start")
+REMEDY = "take one that was trained for this robot (./tcbi policy lists policies), or train one with ./tcbi train"
 ENTRIES = {"observation": NAMES, "action": NAMES, "limit": POSITIVE, "rate_hz": POSITIVE, "unit": TEXT}  # in a card
 
 
@@ -57,7 +58,7 @@ def check_fit(policy: str, layout: Layout, robot: Layout) -> None:
     if abs(layout.rate_hz - robot.rate_hz) > 1e-9:
         faults.append(f"control rate is {layout.rate_hz:g} Hz, the robot's is {robot.rate_hz:g} Hz")
     if faults:
-        raise PolicyMisfit(f"policy {policy} does not fit this robot: {'; '.join(faults)}")
+        raise PolicyMisfit(f"policy {policy} does not fit this robot: {'; '.join(faults)}; {REMEDY}")
 
 
 def _compare(what: str, mine: tuple[str, ...], robots: tuple[str, ...]) -> list[str]:

@@ -42,7 +42,7 @@ class Mlp:
         if not np.isfinite(self.observation_scale).all():
             faults.append("observation_scale holds values that are not finite")
         if faults:
-            raise PolicyDamaged("; ".join(faults))
+            raise PolicyDamaged(f"{'; '.join(faults)}; copy the policy again, or train it again")
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Joint targets (..., J) in rad of observations (..., n) in rad; no bit depends on the size of a batch."""
@@ -80,7 +80,8 @@ class Mlp:
         missing = [name for name in expected if name not in tensors]
         if missing or count == 0:
             raise PolicyDamaged(
-                f"arrays {', '.join(missing) or 'layer0.weight'} are missing; found {', '.join(tensors)}"
+                f"arrays {', '.join(missing) or 'layer0.weight'} are missing; found {', '.join(tensors) or 'none'}; "
+                "copy the policy again"
             )
         arrays = {name: np.asarray(tensors[name], np.float64) for name in expected}
         return Mlp(

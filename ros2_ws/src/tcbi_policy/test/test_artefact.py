@@ -1,5 +1,6 @@
 """Policies as files: equal to torch, refused by name of what differs, nothing pickled."""
 
+import dataclasses
 import hashlib
 import json
 import subprocess
@@ -14,7 +15,7 @@ import torch
 
 from tcbi_policy.artefact import Card, find_policy, load_policy, policy_paths, save_policy
 from tcbi_policy.errors import PolicyDamaged, PolicyError, PolicyMisfit, PolicyNotFound
-from tcbi_policy.layout import HEXAPOD, robot_layout
+from tcbi_policy.layout import HEXAPOD, Layout, robot_layout
 from tcbi_policy.mlp import Mlp
 
 
@@ -71,18 +72,20 @@ def test_what_is_saved_is_what_is_loaded(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("joints", "rate", "says"),
+    ("robot", "says"),
     [
-        ((*HEXAPOD.action[:-1], "rr_wheel"), 5.0, "needs rr_tibia.*lacks rr_wheel"),
-        ((HEXAPOD.action[1], HEXAPOD.action[0], *HEXAPOD.action[2:]), 5.0, "order differs from entry 0"),
-        (HEXAPOD.action, 10.0, "control rate is 5 Hz, the robot's is 10 Hz"),
+        (robot_layout((*HEXAPOD.action[:-1], "rr_wheel")), "needs rr_tibia.*lacks rr_wheel"),
+        (robot_layout((HEXAPOD.action[1], HEXAPOD.action[0], *HEXAPOD.action[2:])), "order differs from entry 0"),
+        (robot_layout(rate_hz=10.0), "control rate is 5 Hz, the robot's is 10 Hz"),
+        (robot_layout(limit=0.3), r"joint range is \+-0.5236 rad, the robot's is \+-0.3000 rad"),
+        (dataclasses.replace(HEXAPOD, unit="deg"), "unit is rad, the robot's is deg"),
     ],
 )
-def test_a_policy_for_another_robot_is_refused_by_what_differs(
-    tmp_path: Path, joints: tuple[str, ...], rate: float, says: str
+def test_a_policy_for_another_robot_is_refused_by_what_differs_and_what_to_do(
+    tmp_path: Path, robot: Layout, says: str
 ) -> None:
-    with pytest.raises(PolicyMisfit, match=says):
-        load_policy(saved(tmp_path), robot_layout(joints, rate_hz=rate))
+    with pytest.raises(PolicyMisfit, match=rf"{says}.*; take one that was trained for this robot .*\./tcbi train"):
+        load_policy(saved(tmp_path), robot)
 
 
 def test_a_gait_is_for_the_hexapod_alone() -> None:
@@ -98,11 +101,20 @@ def test_weights_of_another_card_are_refused(tmp_path: Path) -> None:
         load_policy(path)
 
 
-@pytest.mark.parametrize("damage", ["{}", "not json", '{"format": 99}', "[]", "[" * 100_000])
-def test_a_damaged_card_is_named(tmp_path: Path, damage: str) -> None:
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        *((text, "copy both files again") for text in ("{}", "not json", "[]", "[" * 100_000)),
+        (
+            '{"format": 99}',
+            r"card\.format: got 99, allowed is 1; another version of tcbi wrote it: use that one, or",
+        ),
+    ],
+)
+def test_a_damaged_card_is_named_with_what_to_do(tmp_path: Path, damage: str, says: str) -> None:
     path = saved(tmp_path)
     path.with_suffix(".json").write_text(damage)
-    with pytest.raises(PolicyDamaged, match=r"level\.safetensors"):
+    with pytest.raises(PolicyDamaged, match=rf"level\.safetensors: .*{says}"):
         load_policy(path)
 
 
