@@ -44,6 +44,13 @@ def test_logs_of_one_name_and_bags_that_are_there_are_all_told_before_anything_i
     assert sorted(bag.name for bag in (tmp_path / "bags").iterdir()) == ["old", "other"]
 
 
+def test_a_log_that_is_not_there_is_told_with_what_to_give(run, tmp_path):
+    status, told = run(tmp_path / "gone.csv")
+    assert status == 1 and told.endswith(
+        "gone.csv: there is no such log; give a log (.json, .csv, .gz) or a folder of logs\n"
+    )
+
+
 def test_a_name_that_no_bag_can_have_stops_the_others_too(run, tmp_path):
     status, told = run(log(tmp_path / "a/fine.csv"), log(tmp_path / "a/.csv"))
     assert status == 1 and "'' is no plain file name" in told

@@ -114,7 +114,7 @@ class _Tables:
 
     def _file(self, name: str) -> Path:
         if not self.log.exists():
-            raise MappingError(f"{self.log}: there is no such log")
+            raise MappingError(f"{self.log}: there is no such log; give a log (.json, .csv, .gz) or a folder of logs")
         if not name:
             if self.log.is_dir():
                 raise MappingError(f"{self.log}: is a folder; say in the mapping which `file` in it each signal is in")
@@ -173,7 +173,7 @@ def _parse_json(path: Path, text: str, entries: str) -> tuple[Table, dict[str, A
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as e:
-        raise MappingError(f"{path}: is no JSON ({e})") from e
+        raise MappingError(f"{path}: is no JSON ({e}); record or copy it again, or give another log") from e
     samples = content if isinstance(content, list) else content.get(entries) if isinstance(content, dict) else None
     if not isinstance(samples, list) or not samples or not all(isinstance(s, dict) for s in samples):
         raise MappingError(f"{path}: holds no list of samples under {entries!r}; set `entries` in the mapping")

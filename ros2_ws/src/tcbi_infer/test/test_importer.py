@@ -297,7 +297,7 @@ def test_an_unknown_mapping_lists_the_built_in_ones():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("{", "is no JSON"),
+        ("{", "is no JSON .*; record or copy it again"),
         ("{}", "no list of samples under 'entries'"),
         (json.dumps({**HEADER, "entries": [{"timestamp": 0}]}), "no column 'position'"),
         (json.dumps({**HEADER, "entries": [{**SAMPLES[0], "position": "x"}]}), "no number"),
