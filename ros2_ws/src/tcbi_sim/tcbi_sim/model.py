@@ -17,6 +17,7 @@ from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
 
 PRIOR_PARTICLES = 200
+JOINT_GAINS = (0.4, 2.0)  # that joints may have
 
 
 class Fit(NamedTuple):
@@ -40,6 +41,7 @@ class Model:
     parent: str | None = None
     evidence: dict[str, Any] = field(default_factory=dict)  # what made this version: a diagnosis, an inference
     created: str = ""
+    joint_gains: tuple[float, ...] = ()  # (J,) each servo's stiffness over what the parameters say
 
     def __post_init__(self) -> None:
         expected = (*self.log_weights.shape, len(self.parameters))
@@ -56,6 +58,16 @@ class Model:
                 raise SimError(
                     f"model {self.version!r}: parameter {p.name!r} is {seen}, allowed is {p.low} to {p.high} {p.unit}"
                 )
+        if self.joint_gains:
+            self._check_joint_gains()
+
+    def _check_joint_gains(self) -> None:
+        rig, (low, high) = load_rig(self.rig), JOINT_GAINS
+        wrong = [f"{gain}" for gain in self.joint_gains if not low <= gain <= high]
+        if rig.kind != "position" or len(self.joint_gains) != len(rig.joint_names) or wrong:
+            seen = f"{len(self.joint_gains)} values" + (f", among them {wrong[0]}" if wrong else "")
+            allowed = f"{len(rig.joint_names)} of {low} to {high}" if rig.kind == "position" else "none for this rig"
+            raise SimError(f"model {self.version!r}: joint_gains has {seen}, allowed is {allowed}")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,6 +84,15 @@ class Model:
         """(N,), sum to one."""
         w = np.exp(self.log_weights - self.log_weights.max())
         return w / w.sum()
+
+    @property
+    def joint_gains_told(self) -> str:
+        """The joints' own gains in words, the softest and the stiffest by name; without any all are alike."""
+        if not self.joint_gains:
+            return "alike"
+        joints, gains = load_rig(self.rig).joint_names, np.array(self.joint_gains)
+        low, high = int(gains.argmin()), int(gains.argmax())
+        return f"{gains[low]:.2f} ({joints[low]}) to {gains[high]:.2f} ({joints[high]})"
 
     @property
     def fit(self) -> Fit:
@@ -112,7 +133,10 @@ class Model:
           SimError: unknown effect, or one that the model has or the rig cannot have.
         """
         if key in self.effects:
-            raise SimError(f"model {self.version!r} has the effect {key!r} already")
+            raise SimError(
+                f"model {self.version!r} has the effect {key!r} already, allowed is one that it lacks; fit its size "
+                "again with ./tcbi infer, or name an earlier version with --model"
+            )
         use = find_use(key, load_rig(self.rig))
         rng = np.random.default_rng([len(self.effects), zlib.crc32(use.key.encode())])  # not the base model's draws
         new = np.stack([p.sample(rng, len(self.particles)) for p in use.parameters], axis=-1)

@@ -81,6 +81,7 @@ class Simulator:
             commands a simulation loses.
         """
         self.rig, self.uses, self._names = load_rig(model.rig), model.uses(), model.names
+        self._joint_gains = model.joint_gains
         self.rate = rate or self.rig.rate
         self.timestep = timestep = step_for(self.rate) if timestep is None else timestep
         self.per_sample = round(1 / (self.rate * timestep))
@@ -271,6 +272,8 @@ class Simulator:
         keys = sorted({k for s in self.scenarios for k, _ in s.constants})
         constants = {k: np.array([s.constant(k, np.nan) for s in self.scenarios]) for k in keys}
         self.rig.apply(f, {p.name: row[p.name] for p in self.rig.parameters}, constants)
+        if self._joint_gains:
+            f.scale_gain(f.actuators(), np.array([self._joint_gains]))
         for use in self.uses:
             use.apply(f, self.rig, row)
         self._torque_on[ids] = True

@@ -11,6 +11,7 @@ The root is `--store`, else the environment variable TCBI_STORE, else ~/.local/s
 import dataclasses
 import json
 import logging
+import math
 import os
 import shutil
 import tempfile
@@ -38,7 +39,7 @@ def _is(kind: Any) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, kind)
 
 
-def _is_list(kind: type) -> Callable[[Any], bool]:
+def _is_list(kind: Any) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, list) and all(isinstance(item, kind) for item in value)
 
 
@@ -50,6 +51,7 @@ HEAD: dict[str, tuple[Callable[[Any], bool], str]] = {  # key of model.json: wha
     "parent": (_is(str | None), "a text or null"),
     "evidence": (_is(dict), "an object"),
     "created": (_is(str), "a text"),
+    "joint_gains": (_is_list(int | float), "a list of numbers"),
 }
 
 
@@ -155,6 +157,7 @@ class ModelStore:
             "created": model.created,
             "parameters": [dataclasses.asdict(p) for p in model.parameters],
             "mean": dict(zip(model.names, map(float, model.mean()), strict=True)),
+            "joint_gains": list(model.joint_gains),
             "evidence": model.evidence,
         }
         (folder / "model.json").write_text(json.dumps(head, indent=1, default=_plain) + "\n")
@@ -164,8 +167,12 @@ class ModelStore:
     @staticmethod
     def _read(folder: Path) -> Model:
         path, particles = folder / "model.json", folder / "posterior.nc"
+        if not particles.exists():
+            raise StoreError(f"{particles} is missing; {RESTORE}")
         try:
             head = json.loads(path.read_text())
+            if isinstance(head, dict):
+                head.setdefault("joint_gains", [])  # versions from before there were any
             check_head(path, head)
             values, log_weights = read_particles(particles)
         except (OSError, KeyError, TypeError, ValueError) as e:
@@ -179,20 +186,17 @@ class ModelStore:
                 f"another version, or remove {folder}"
             ) from e
         check_parameters(path, head["parameters"], parameters)
+        about = (head["parent"], head["evidence"], head["created"])
         try:
-            return Model(
-                head["version"],
-                rig,
-                effects,
-                parameters,
-                values,
-                log_weights,
-                head["parent"],
-                head["evidence"],
-                head["created"],
-            )
+            model = Model(head["version"], rig, effects, parameters, values, log_weights, *about)
         except SimError as e:
             raise StoreError(f"{particles}: {e}; {RESTORE}") from e
+        try:
+            model = dataclasses.replace(model, joint_gains=tuple(head["joint_gains"]))
+        except SimError as e:
+            raise StoreError(f"{path}: {e}; {RESTORE}") from e
+        check_mean(path, head.get("mean", {}), model)
+        return model
 
 
 def check_head(path: Path, head: Any) -> None:
@@ -204,7 +208,10 @@ def check_head(path: Path, head: Any) -> None:
     if not isinstance(head, dict):
         raise StoreError(f"{path}: got {type(head).__name__}, allowed is an object; {RESTORE}")
     if head.get("format") != FORMAT:
-        raise StoreError(f"{path} has format {head.get('format')!r}, this version reads {FORMAT}")
+        raise StoreError(
+            f"{path} has format {head.get('format')!r}, allowed is {FORMAT}; load it with the release of tcbi that "
+            "wrote it, or remove the folder"
+        )
     faults = [
         f"{key} is {head.get(key)!r}, allowed is {allowed}"
         for key, (fits, allowed) in HEAD.items()
@@ -228,6 +235,21 @@ def check_parameters(path: Path, saved: list[dict[str, Any]], defined: tuple[Par
             f"{path}: parameters are {', '.join(map(str, names)) or 'none'}, allowed are {', '.join(allowed)}; the "
             "rig, an effect or this file has changed since it was saved; put that back or remove the folder"
         )
+
+
+def check_mean(path: Path, saved: dict[str, Any], model: Model) -> None:
+    """Refuse a `model.json` whose mean is edited: it repeats what the particles say, and only these count.
+
+    Raises:
+      StoreError: names both.
+    """
+    for name, value in zip(model.names, model.mean(), strict=True):
+        said = saved.get(name, value)
+        if not isinstance(said, int | float) or not math.isclose(said, value, rel_tol=1e-3, abs_tol=1e-9):
+            raise StoreError(
+                f"{path}: mean {name} is {said!r}, allowed is {value:.6g}, which the particles in posterior.nc give; a "
+                f"version is changed by a fit alone (./tcbi infer, ./tcbi add); {RESTORE}"
+            )
 
 
 def read_particles(path: Path) -> tuple[np.ndarray, np.ndarray]:

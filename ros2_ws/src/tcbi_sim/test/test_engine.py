@@ -1,5 +1,6 @@
 """The batch engine against a plain loop, and what it promises."""
 
+import dataclasses
 import functools
 
 import mujoco
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from mujoco.batch import SimulationError
 
+from tcbi_contract.names import JOINTS
 from tcbi_sim.engine import Simulator, simulate
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Commands, Scenario
@@ -302,6 +304,22 @@ def test_wrong_shapes_and_modes_are_refused_in_words():
         Simulator(model, values, SHORT[:1], 0.003)
     with pytest.raises(SimError, match="allowed is more than 0"):
         simulate(model, values, SHORT, commands=COMMANDS, timestep=0.0)
+
+
+def test_a_models_joint_gains_act_as_the_same_gains_set_joint_by_joint():
+    gains = np.linspace(0.9, 1.1, 18)
+    plain = odd = base_model("hexapod")
+    for joint in JOINTS:
+        odd = odd.with_effect(f"gain_scatter:{joint}")
+    known = dataclasses.replace(plain, joint_gains=tuple(gains))
+    scenario, still = [Scenario("balance", 0.5, slope_roll=0.1)], [Commands(np.zeros(1), np.zeros((1, 18)))]
+    values = plain.mean()
+    expected, alike, found = (
+        simulate(model, vector[None], scenario, commands=still).joint_position
+        for model, vector in ((odd, np.r_[values, gains]), (plain, values), (known, values))
+    )
+    np.testing.assert_array_equal(found, expected)
+    assert np.abs(found - alike).max() > 1e-3
 
 
 @pytest.mark.parametrize(

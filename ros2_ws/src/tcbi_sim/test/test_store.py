@@ -38,6 +38,14 @@ def test_a_saved_version_comes_back_equal(store):
     np.testing.assert_array_equal(loaded.log_weights, saved.log_weights)
 
 
+def test_a_version_keeps_each_joints_own_gain(store):
+    model = dataclasses.replace(base_model("hexapod"), joint_gains=tuple(np.linspace(0.95, 1.05, 18)))
+    version = store.save(model.with_effect("backlash")).version
+    assert store.load(version).joint_gains == model.joint_gains
+    assert store.load(version).joint_gains_told == "0.95 (lf_coxa) to 1.05 (rr_tibia)"
+    assert store.load(version).without_effect("backlash").joint_gains == model.joint_gains
+
+
 THREADS = """
 import concurrent.futures, sys
 from tcbi_sim.store import ModelStore
@@ -124,7 +132,9 @@ def test_the_exported_mjcf_is_the_model(store):
     model = base_model("hexapod")
     for key in ("coulomb_friction", "payload", "backlash", "cable_pull", "slippery_ground", "speed_limit"):
         model = model.with_effect(key)
+    model = dataclasses.replace(model, joint_gains=tuple(np.linspace(0.9, 1.1, 18)))
     loaded, own = mujoco.MjModel.from_xml_string(to_xml(model)), materialise(model)
+    assert len(set(own.actuator_gainprm[:, 0])) >= 18
     for name in (
         "body_mass",
         "body_ipos",
@@ -156,7 +166,7 @@ def changed(store: ModelStore, change: dict) -> str:
     ("change", "words"),
     [
         ({"effects": ["gravity_waves"]}, "gravity_waves"),
-        ({"format": 99}, "has format 99, this version reads 1"),
+        ({"format": 99}, "has format 99, allowed is 1; load it with the release .* or remove the folder"),
         ({"rig": "octopod"}, "octopod"),
         ({"rig": "servo_bench"}, "does not suit|parameters"),
         ({"effects": []}, r"parameters are friction, mass, gain, backlash\.\w+, allowed are friction, mass, gain;"),
@@ -176,11 +186,38 @@ def test_a_model_file_with_unknown_content_is_refused_by_name(store, change, wor
         ({"parameters": {"mass": 1.0}}, "parameters is {'mass': 1.0}, allowed is a list of objects"),
         ({"rig": None, "parent": 3}, "rig is None, allowed is a text; parent is 3, allowed is a text or null"),
         ({"evidence": []}, "evidence is [], allowed is an object"),
+        ({"joint_gains": "all"}, "joint_gains is 'all', allowed is a list of numbers"),
     ],
 )
 def test_a_value_of_the_wrong_type_in_a_model_file_is_named_with_what_is_allowed(store, change, words):
     with pytest.raises(StoreError, match=re.escape(f"model.json: {words}; restore the file")):
         store.load(changed(store, change))
+
+
+@pytest.mark.parametrize(
+    ("rig", "gains", "words"),
+    [
+        ("hexapod", [1.0] * 17, "joint_gains has 17 values, allowed is 18 of 0.4 to 2.0"),
+        ("hexapod", [1.0] * 17 + [9.8], "joint_gains has 18 values, among them 9.8, allowed is 18 of 0.4 to 2.0"),
+        ("hexapod", [1.0] * 17 + [np.nan], "joint_gains has 18 values, among them nan, allowed"),
+        ("double_pendulum", [1.0, 1.0], "joint_gains has 2 values, allowed is none for this rig"),
+    ],
+)
+def test_joint_gains_that_a_rig_cannot_have_are_refused(store, rig, gains, words):
+    saved = store.save(base_model(rig))
+    path = store.models / saved.version / "model.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"joint_gains": gains}))
+    with pytest.raises(StoreError, match=re.escape(words) + ".*restore the file"):
+        store.load(saved.version)
+
+
+@pytest.mark.parametrize("mean", [9.8, np.nan, "big", 0.79])
+def test_a_mean_that_is_not_the_particles_is_refused_for_only_these_count(store, mean):
+    saved = store.save(base_model("hexapod"))
+    version = changed(store, {"mean": dict(zip(saved.names, saved.mean(), strict=False)) | {"mass": mean}})
+    told = re.escape(f"mean mass is {mean!r}, allowed is {saved.mean()[1]:.6g}, which the particles")
+    with pytest.raises(StoreError, match=told + ".*restore the file"):
+        store.load(version)
 
 
 @pytest.mark.parametrize("text", ["[]", "3", '"model"', "null"])
@@ -227,6 +264,13 @@ def test_a_log_weight_that_is_no_number_is_refused_with_its_file(store, value):
     with h5py.File(store.models / saved.version / "posterior.nc", "r+") as file:
         file["particles/log_weight"][3] = value
     with pytest.raises(StoreError, match=rf"posterior.nc: .*log-weight is {value}, allowed is a finite number"):
+        store.load(saved.version)
+
+
+def test_a_version_without_its_particles_is_told_so(store):
+    saved = store.save(base_model("hexapod"))
+    (store.models / saved.version / "posterior.nc").unlink()
+    with pytest.raises(StoreError, match=r"posterior.nc is missing; restore the file or remove the folder"):
         store.load(saved.version)
 
 

@@ -117,6 +117,8 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
     print(f"{saved.version} = {model.version} + {effect}")
     rows = [[p.name, p.unit, float(v)] for p, v in zip(saved.parameters, saved.mean(), strict=True)]
     console.table("mean parameters", ["parameter", "unit", "mean"], rows)
+    if saved.joint_gains:
+        print(f"joints' own gains, over what the parameters say: {saved.joint_gains_told}")
     errors = saved.evidence.get("errors", {})
     if effect in errors:
         judged = "rollouts that no fit has seen" if saved.evidence["sealed"] else "motions held out in turn"

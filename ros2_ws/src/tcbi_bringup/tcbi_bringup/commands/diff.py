@@ -56,6 +56,7 @@ def _print(d: "Difference") -> None:
     grounds = [
         ["made by", first.kind, second.kind],
         ["rollouts it was fitted to", str(len(first.rollouts)), str(len(second.rollouts))],
+        ["joints' own gains", first.joint_gains, second.joint_gains],
         ["error / noise floor, unseen rollouts", *(_error(g.error_over_floor) for g in (first, second))],
     ]
     console.table("", ["", d.before, d.after], grounds)

@@ -52,6 +52,7 @@ class Grounds:
       kind: "built in", "prior", or what made it: "diagnosis", "inference", "remove".
       rollouts: that it was fitted to.
       error_over_floor: on rollouts that its fit had not seen; None where nothing was measured.
+      joint_gains: each servo's own stiffness, in words.
     """
 
     kind: str
@@ -59,6 +60,7 @@ class Grounds:
     accepted: bool | None
     rollouts: tuple[str, ...]
     error_over_floor: float | None
+    joint_gains: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,7 +176,8 @@ def _grounds(model: Model) -> Grounds:
     statement = e.get("statement", "")
     if inference:
         statement = f"{inference['method']}, effective sample size {inference['ess']:.0f}"
-    return Grounds(kind, statement, e.get("accepted"), tuple(sorted(used_before(model))), unseen_error(model))
+    rollouts = tuple(sorted(used_before(model)))
+    return Grounds(kind, statement, e.get("accepted"), rollouts, unseen_error(model), model.joint_gains_told)
 
 
 def _statement(

@@ -1,5 +1,6 @@
 """From a diagnosis to the next version of the model, its parameters distributed as they were fitted."""
 
+import dataclasses
 import datetime
 import json
 import os
@@ -63,7 +64,8 @@ def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -
         "parameters": evidence["parameters"],
         "disagreements": [a["statement"] for a in disagreements(diagnosis, use)],
     }
-    return child.with_particles(particles, log_weights, **summary)
+    fitted_again = child.with_particles(particles, log_weights, **summary)
+    return dataclasses.replace(fitted_again, joint_gains=tuple(evidence.get("joint_gains") or model.joint_gains))
 
 
 def offered(model: Model, use: str, diagnosis: Mapping[str, Any]) -> Model:

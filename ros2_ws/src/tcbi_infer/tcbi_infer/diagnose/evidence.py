@@ -78,6 +78,7 @@ class Evidence:
       confused_with: those, and uses that explain these rollouts about as well.
       values: (P,) parameters of the whole model with the effect, physical; empty where not refined.
       spread: (P, P) their covariance in unit space.
+      joint_gains: (J,) each servo's own stiffness beside them, as `Model.joint_gains`; empty where none was fitted.
     """
 
     effect: str
@@ -100,6 +101,7 @@ class Evidence:
     names: tuple[str, ...] = ()
     values: tuple[float, ...] = ()
     spread: tuple[tuple[float, ...], ...] = ()
+    joint_gains: tuple[float, ...] = ()
 
     def sizes_in_words(self) -> str:
         """Its parameters with their 90 % intervals, for a table."""

@@ -20,6 +20,7 @@ from tcbi_infer.diagnose.evidence import Evidence, Misfit, Moment, ParameterEsti
 from tcbi_infer.diagnose.fit import Fit, Nuisance
 from tcbi_infer.diagnose.heldout import HeldOut, fold_indices, held_out, intervals
 from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.scatter import joint_gains
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.parameter import Parameter
@@ -102,11 +103,15 @@ class Judge:
         return found
 
     def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
-        """On sealed motions, cross-validated where none are sealed; without joint scatter."""
+        """On sealed motions, cross-validated where none are sealed; each servo with its own gain."""
         sealed = list(self.split.sealed)
         if sealed:
-            return self._error(self.replay.predict(fit.model, fit.parameters[None], sealed, self.timestep)[0], sealed)
+            model = dataclasses.replace(fit.model, joint_gains=self._joint_gains(fit))
+            return self._error(self.replay.predict(model, fit.parameters[None], sealed, self.timestep)[0], sealed)
         return self._error(self.problem.observed[self.sets] - held.residual, list(self.sets))
+
+    def _joint_gains(self, fit: Fit) -> tuple[float, ...]:
+        return joint_gains(fit.model, self.nuisance, fit.nuisance)
 
     def _error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
         """Of predictions (sets, T, C); infinite where one diverged."""
@@ -150,6 +155,7 @@ class Judge:
             names=fit.model.names,
             values=tuple(float(v) for v in fit.parameters),
             spread=tuple(tuple(float(x) for x in row) for row in covariance),
+            joint_gains=self._joint_gains(fit),
         )
 
     def moments(self, before: Judged, after: Mapping[str, Judged], count: int = 4, span_s: float = 1.5) -> list[Moment]:

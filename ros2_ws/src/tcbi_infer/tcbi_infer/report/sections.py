@@ -228,7 +228,8 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
     now = intervals(child)
     own = [p for p in child.parameters if p.name not in parent.names]
     figures = [_size(p.name, p.unit, now[p.name].mean, now[p.name].low90, now[p.name].high90, p.null) for p in own]
-    report.add(Section("Its parameters", figures=figures, table=Table(head, rows)))
+    text = [f"Joints' own gains, over what these parameters say: {child.joint_gains_told}."]
+    report.add(Section("Its parameters", text=text, figures=figures, table=Table(head, rows)))
 
 
 def add_difference(report: Report, d: Difference) -> None:
@@ -240,6 +241,7 @@ def add_difference(report: Report, d: Difference) -> None:
         ["made by", *(g.kind for g in grounds)],
         ["what it says", *(g.statement or "–" for g in grounds)],
         ["rollouts that it was fitted to", *(len(g.rollouts) for g in grounds)],
+        ["joints' own gains", *(g.joint_gains for g in grounds)],
         ["error over noise floor, unseen rollouts", *(g.error_over_floor for g in grounds)],
     ]
     text = []
