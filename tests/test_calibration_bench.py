@@ -2,11 +2,8 @@
 
 import argparse
 import dataclasses
-import importlib
 import json
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -14,21 +11,16 @@ import pytest
 from scipy.stats import kstest
 
 from tcbi_sim.rigs import load_rig
+from tests.bench_modules import BENCH, bench_modules
 
-FOLDER = Path(__file__).resolve().parents[1] / "bench" / "calibration"
 NAMES = ("figures", "jobs", "truths", "main")
 
 
 @pytest.fixture(scope="module")
 def bench() -> Iterator[dict[str, ModuleType]]:
     """The benchmark's modules, as its script sees them."""
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield {name: importlib.import_module(name) for name in NAMES}
-    finally:
-        sys.path.remove(str(FOLDER))
-        for name in NAMES:
-            sys.modules.pop(name, None)
+    with bench_modules(BENCH / "calibration", NAMES) as modules:
+        yield modules
 
 
 def case(bench: dict[str, ModuleType], truth: int = 0, method: str = "calibrated"):

@@ -1,29 +1,21 @@
 """bench/scale.py and bench/inference.py: what they measure runs, on a tiny problem and without Ray."""
 
-import importlib
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 from tcbi_sim.model import base_model
+from tests.bench_modules import BENCH, bench_modules
 
-FOLDER = Path(__file__).resolve().parents[1] / "bench"
 NAMES = ("engine", "scale_model", "scale", "inference")
 
 
 @pytest.fixture(scope="module")
 def bench() -> Iterator[dict[str, ModuleType]]:
     """The benchmarks' modules, as their scripts see them."""
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield {name: importlib.import_module(name) for name in NAMES}
-    finally:
-        sys.path.remove(str(FOLDER))
-        for name in NAMES:
-            sys.modules.pop(name, None)
+    with bench_modules(BENCH, NAMES) as modules:
+        yield modules
 
 
 def test_the_costs_of_a_step_and_of_a_chunk_are_measured(bench) -> None:

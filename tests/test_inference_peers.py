@@ -1,11 +1,9 @@
 """bench/inference_peers.py: when a peer's error is as small as TCBI's, and stays so."""
 
 import dataclasses
-import importlib
 import json
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -16,19 +14,13 @@ from tcbi_infer.tcbi.problem import Problem
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Scenario
 from tcbi_sim.model import base_model
-
-FOLDER = Path(__file__).resolve().parents[1] / "bench"
+from tests.bench_modules import BENCH, bench_modules
 
 
 @pytest.fixture(scope="module")
 def bench() -> Iterator[ModuleType]:
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield importlib.import_module("inference_peers")
-    finally:
-        sys.path.remove(str(FOLDER))
-        for name in [n for n in sys.modules if n.split(".")[0] in ("inference_peers", "calibration", "peers")]:
-            del sys.modules[name]
+    with bench_modules(BENCH, ("inference_peers",)) as modules:
+        yield modules["inference_peers"]
 
 
 def beliefs(*pairs: tuple[float, float]) -> list[dict]:
