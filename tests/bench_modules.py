@@ -12,7 +12,7 @@ BENCH = Path(__file__).resolve().parents[1] / "bench"
 
 @contextmanager
 def bench_modules(folder: Path, names: tuple[str, ...]) -> Iterator[dict[str, ModuleType]]:
-    """Modules by name, found in a folder that is on the path meanwhile, which they leave with what they import of it."""
+    """Modules by name, found in a folder; afterwards they, and what they import of benchmarks, are forgotten."""
     before = set(sys.modules)
     sys.path.insert(0, str(folder))
     try:
