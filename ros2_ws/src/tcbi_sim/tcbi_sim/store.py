@@ -167,13 +167,13 @@ class ModelStore:
     @staticmethod
     def _read(folder: Path) -> Model:
         path, particles = folder / "model.json", folder / "posterior.nc"
-        if not particles.exists():
-            raise StoreError(f"{particles} is missing; {RESTORE}")
         try:
             head = json.loads(path.read_text())
             if isinstance(head, dict):
                 head.setdefault("joint_gains", [])  # versions from before there were any
             check_head(path, head)
+            if not particles.exists():
+                raise StoreError(f"{particles} is missing; {RESTORE}")
             values, log_weights = read_particles(particles)
         except (OSError, KeyError, TypeError, ValueError) as e:
             raise StoreError(f"cannot read the model in {folder}: {e}; remove the folder or restore its files") from e
