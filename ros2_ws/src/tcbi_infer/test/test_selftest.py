@@ -69,6 +69,7 @@ def test_whatever_else_a_result_depends_on_makes_another_fingerprint(bench, monk
         played(ramp=0.0),
         played(torque_on=np.zeros(len(bench.motions[0].commands.time), bool)),
         dataclasses.replace(bench, model=dataclasses.replace(MODEL, log_weights=weights)),
+        dataclasses.replace(bench, model=dataclasses.replace(MODEL, joint_gains=(1.1,))),
     ]
     monkeypatch.setenv("TCBI_EFFECTS", str(tmp_path))
     seen = {b.fingerprint for b in benches}

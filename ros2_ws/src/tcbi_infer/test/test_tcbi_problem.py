@@ -128,6 +128,8 @@ def test_what_an_inference_goes_on_from_is_known_by_the_rollouts_content_and_one
     repaired[5] += 1e-9
     other = [dataclasses.replace(measurements[0], joint_position=repaired), *measurements[1:]]
     assert name(Problem.of(model, other, timestep=0.01)) != before
+    stiffer = dataclasses.replace(model, joint_gains=(1.1,))
+    assert name(Problem.of(stiffer, measurements, timestep=0.01)) != before
     (tmp_path / "mine.py").write_text("STATISTIC = 1")
     assert name(problem) != before
 

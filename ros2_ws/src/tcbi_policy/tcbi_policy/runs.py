@@ -95,7 +95,7 @@ class Run:
 
 
 def _digest(model: Model) -> str:
-    return hashlib.sha256(model.particles.tobytes() + model.log_weights.tobytes()).hexdigest()[:12]
+    return hashlib.sha256(model.contents).hexdigest()[:12]
 
 
 def library_versions() -> dict[str, str]:

@@ -148,6 +148,11 @@ def test_the_card_tells_the_weighted_spread_of_the_posterior(tmp_path: Path) -> 
         assert told[name]["sd"] == pytest.approx(np.sqrt(np.average((column - weights @ column) ** 2, weights=weights)))
 
 
+def test_a_training_is_known_by_what_its_model_holds(tmp_path: Path) -> None:
+    others = MODEL.with_particles(MODEL.particles[::-1]), dataclasses.replace(MODEL, joint_gains=(1.01,) * 18)
+    assert len({Run.of(TINY, model, tmp_path).contents for model in (MODEL, *others)}) == 3
+
+
 def test_the_best_moment_is_never_one_at_which_more_simulations_diverge(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -91,6 +91,16 @@ class Fields:
     begins: np.ndarray  # (B,) bool, which simulations `apply` is called for at the start of an episode; others go on
     memory: dict = field(default_factory=dict)  # state of effects that change with time, by use of the effect
 
+    @classmethod
+    def perfect(cls, mj: mujoco.MjModel, batch: Batch, count: int, joint_names: tuple[str, ...]) -> "Fields":
+        """A robot without any fault."""
+        joints = len(joint_names)
+        link, sensors = CommandFields.perfect(count, joints), SensingFields.perfect(count, joints)
+        damping, compliance = np.zeros((count, joints)), np.zeros((count, joints))
+        strength, torque = np.ones((count, joints)), np.ones((count, joints))
+        begins = np.ones(count, bool)
+        return cls(mj, ModelFields(batch), link, sensors, joint_names, damping, compliance, strength, torque, begins)
+
     @property
     def count(self) -> int:
         """B."""

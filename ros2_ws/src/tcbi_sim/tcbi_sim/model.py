@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tcbi_contract.wording import counted
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import find_use
 from tcbi_sim.errors import SimError, UnknownNameError
@@ -65,7 +66,7 @@ class Model:
         rig, (low, high) = load_rig(self.rig), JOINT_GAINS
         wrong = [f"{gain}" for gain in self.joint_gains if not low <= gain <= high]
         if rig.kind != "position" or len(self.joint_gains) != len(rig.joint_names) or wrong:
-            seen = f"{len(self.joint_gains)} values" + (f", among them {wrong[0]}" if wrong else "")
+            seen = counted(len(self.joint_gains), "value") + (f", among them {wrong[0]}" if wrong else "")
             allowed = f"{len(rig.joint_names)} of {low} to {high}" if rig.kind == "position" else "none for this rig"
             raise SimError(f"model {self.version!r}: joint_gains has {seen}, allowed is {allowed}")
 
@@ -84,6 +85,11 @@ class Model:
         """(N,), sum to one."""
         w = np.exp(self.log_weights - self.log_weights.max())
         return w / w.sum()
+
+    @property
+    def contents(self) -> bytes:
+        """All that models of one name and structure may differ in, for digests."""
+        return self.particles.tobytes() + self.log_weights.tobytes() + np.array(self.joint_gains).tobytes()
 
     @property
     def joint_gains_told(self) -> str:

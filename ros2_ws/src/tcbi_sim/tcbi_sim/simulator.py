@@ -22,7 +22,7 @@ from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_sim.command_path import CommandPath
 from tcbi_sim.effect import State
 from tcbi_sim.errors import SimError
-from tcbi_sim.fields import CommandFields, Fields, ModelFields, SensingFields
+from tcbi_sim.fields import Fields
 from tcbi_sim.measurement import Scenario, quaternion_from_rpy
 from tcbi_sim.model import Model
 from tcbi_sim.power import ServoPower
@@ -100,21 +100,10 @@ class Simulator:
         self._mj.opt.timestep = timestep
         for name, value in (solver or {}).items():
             setattr(self._mj.opt, name, value)
-        self.count, joints = len(self.scenarios), len(self.rig.joint_names)
+        self.count = len(self.scenarios)
         self._batch = Batch(self._mj, self.count, threads)
         self._step = self._batch.expand("opt.timestep")
-        self.fields = Fields(
-            self._mj,
-            ModelFields(self._batch),
-            CommandFields.perfect(self.count, joints),
-            SensingFields.perfect(self.count, joints),
-            self.rig.joint_names,
-            np.zeros((self.count, joints)),
-            np.zeros((self.count, joints)),
-            np.ones((self.count, joints)),
-            np.ones((self.count, joints)),
-            np.ones(self.count, bool),
-        )
+        self.fields = Fields.perfect(self._mj, self._batch, self.count, self.rig.joint_names)
         self.path = CommandPath(self.fields.command, [np.random.default_rng(0)] * self.count)
         self._taken = 0  # samples so far: times are counted, never added up
         self._torque_on = np.ones(self.count, bool)

@@ -18,7 +18,7 @@ def joint_scatter(problem: Problem, base: Fit, sets: np.ndarray, timestep: float
     All gains are changed in every simulation, up or down by orthogonal columns (a weighing design: Plackett and Burman,
     The design of optimum multifactorial experiments, Biometrika 33, 1946), so that each slope is a mean over all
     simulations. Where feet stick and slip, predictions jump by more than one gain changes them: of one joint after the
-    other, with as many simulations, the slopes were mostly these jumps.
+    other the slopes were mostly these jumps.
     """
     rig = load_rig(base.model.rig)
     taken = {use.partition(":")[2] for use in base.model.effects if use.startswith("gain_scatter:")}

@@ -43,7 +43,7 @@ class Bench:
         """Changes with anything that a result depends on besides the robot, the code and the user's own files too."""
         what = (versions(), self.model.version, self.model.effects, self.settings, self.candidates)
         digest = hashlib.sha256(repr(what).encode())
-        digest.update(self.model.particles.tobytes() + self.model.log_weights.tobytes())
+        digest.update(self.model.contents)
         for motion in self.motions:
             c = motion.commands
             digest.update(repr((motion.name, motion.policy_id, motion.scenario, c.ramp)).encode())

@@ -121,6 +121,7 @@ def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
     what = {
         "model": problem.model.version,
         "effects": problem.model.effects,
+        "joint_gains": problem.model.joint_gains,
         "rollouts": [_digest(m) for g in problem.groups for m in g.measurements],
         "versions": versions(),
         "statistics": problem.observed.channels,
