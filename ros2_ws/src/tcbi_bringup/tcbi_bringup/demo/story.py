@@ -121,7 +121,9 @@ class Story:
         plan, out = self.plan, self.out
         again = "each" if plan.repeated >= len(plan.motions) else f"{plan.repeated} of them"
         self.say(f"robot {self.robot.seed} moves: {len(plan.motions)} motions of {plan.motion_s:g} s, {again} twice")
-        wanted = recordings(plan.motions, plan.repeated)
+        # repeats come last, apart from each other: they tell how far the robot repeats itself, which a machine that
+        # still loads libraries blurs
+        wanted = sorted(recordings(plan.motions, plan.repeated), key=lambda r: (r.motion < plan.repeated, r.trial))
         with console.progress("recording", total=len(wanted), unit="rollouts") as advance:
             out.motions = self._motions(wanted, "motions", 0, advance)
         self.say(f"{len(out.motions)} rollouts, a bag each, in {self.folder / 'rollouts'}")
