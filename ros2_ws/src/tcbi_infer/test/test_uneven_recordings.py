@@ -85,6 +85,18 @@ def test_repeats_that_did_not_measure_the_same_are_told(rollouts):
     ) in findings
 
 
+def test_commands_of_repeats_that_came_at_other_times_are_told(rollouts):
+    def later(m: Measurement, by: float) -> Measurement:
+        time = m.commands.time + by * (np.arange(len(m.commands.time)) == 3)
+        return dataclasses.replace(m, commands=dataclasses.replace(m.commands, time=time))
+
+    assert guard([later(rollouts[0], 0.008), *rollouts[1:]]) == []
+    assert guard([later(rollouts[0], 0.023), *rollouts[1:]]) == [
+        "Its commands and those of its repeats came up to 23 ms apart, and the noise floor counts what that changes as "
+        "the robot's own: record them again while the machine has nothing else to do (motion0_0)."
+    ]
+
+
 def white(rng: np.random.Generator, shape: tuple[int, ...], layout: Layout) -> np.ndarray:
     """Noise of 2 in every sample, averaged as the layout has it."""
     noise = rng.normal(0, 2.0, (*shape, len(layout.channels)))

@@ -25,6 +25,7 @@ HELD = 0.4  # share of repeated samples in motion that is no chance
 SIGNALS = ("attitude", "angular_velocity", "linear_acceleration", "contact", "position")  # that may be missing
 FEW_GAPS = 5  # that are told each; a stream with more comes in bursts
 CUT = 0.3  # s by which a recording ends before its repeat, which no jitter of the end explains
+APART = 0.01  # s between the same command in two repeats, which a joint at 2 rad/s turns into more than a degree
 ALONE = ": the repeat counts alone there"
 IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than this changes nothing
 IDLE_SPAN = (0.2, 0.8)  # of its range
@@ -82,7 +83,7 @@ def _copies(measurements: Sequence[Measurement]) -> list[str]:
 
 
 def _uneven_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
-    """Of each recording, what it lacks that a repeat of the same commands has."""
+    """Of each recording, what it lacks that a repeat of the same commands has, and how far their commands lie apart."""
     findings: list[list[str]] = [[] for _ in measurements]
     whole = [r for r, m in enumerate(measurements) if len(m.commands.time) and len(m.time)]
     ends = [min(measurements[r].scenario.duration, float(measurements[r].time[-1])) for r in whole]
@@ -96,6 +97,12 @@ def _uneven_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
                 findings[whole[i]].append(
                     f"Ends at {ends[i]:.1f} s, a repeat of the same commands at {last:.1f} s{ALONE}"
                 )
+        times = np.stack([measurements[whole[i]].commands.time for i in group.members])
+        if (apart := float(np.ptp(times, axis=0).max())) > APART:
+            findings[whole[group.members[0]]].append(
+                f"Its commands and those of its repeats came up to {1e3 * apart:.0f} ms apart, and the noise floor counts "
+                "what that changes as the robot's own: record them again while the machine has nothing else to do"
+            )
     return findings
 
 
