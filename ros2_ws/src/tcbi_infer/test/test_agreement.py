@@ -37,7 +37,7 @@ def told(recordings: Sequence[Measurement]) -> dict[str, Agreement]:
     problem = problem.with_autocorrelation(first.residual)
     fit = Fitter(problem, MODEL, none, sets, 0.002).run(first.unit[None], radii=(0.03, 0.03))
     covariance = np.linalg.inv(fit.normal.sum(axis=0) + 1e-3 * np.eye(3))
-    return {a.name: a for a in agreement(problem, fit, none, sets, covariance)}
+    return {a.name: a for a in agreement(problem, fit, sets, covariance)}
 
 
 def mixed(first: Sequence[Measurement], second: Sequence[Measurement]) -> list[Measurement]:
@@ -114,8 +114,10 @@ class Synthetic:
         precision = Fitter(problem, model, none, sets, 0.0).precision(residual, scale, bend)
         normal, slope = gram(slopes, residual, precision)
         unit, square, loss = np.array([0.5]), np.zeros(len(sets)), np.zeros(len(sets))
-        fit = Fit(model, unit, np.zeros(0), -error, residual, loss, scale, normal, slope, square, slopes, bend, True)
-        return agreement(problem, fit, none, sets, np.array([[1e-4]]), int(self.rng.integers(2**31)))[0]
+        fit = Fit(
+            model, unit, none, np.zeros(0), -error, residual, loss, scale, normal, slope, square, slopes, bend, True
+        )
+        return agreement(problem, fit, sets, np.array([[1e-4]]), int(self.rng.integers(2**31)))[0]
 
 
 @pytest.mark.parametrize(("group", "lengths"), [(RATE, MIXED), (CONTACT, EQUAL), (CONTACT, MIXED)])

@@ -116,7 +116,7 @@ def test_what_is_predicted_of_held_out_motions_is_kept_at_every_sample(replay):
     problem, sets = Problem.of(replay, replay.layout.floor()), np.arange(len(replay.replicates))
     none, mean = Nuisance.none(problem), MODEL.mean()[None]
     fit = Fitter(problem, MODEL, none, sets, 0.005).run(MODEL.to_unit(mean), radii=())
-    held = held_out(problem, fit, none, sets, 0.005)
+    held = held_out(problem, fit, sets, 0.005)
     assert held.predicted == pytest.approx(replay.predict(MODEL, mean, timestep=0.005)[0], abs=1e-6)
     assert np.array_equal(problem.residual(held.predicted), held.residual)
 

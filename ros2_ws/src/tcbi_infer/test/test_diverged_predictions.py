@@ -13,7 +13,6 @@ from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split
 from tcbi_infer.diagnose import diagnose, paired
 from tcbi_infer.diagnose.evidence import NOT_CONVERGED
-from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.judge import Judge
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.settings import QUICK
@@ -84,7 +83,7 @@ def test_motions_that_diverge_make_the_error_of_a_fit_infinite(rollouts, monkeyp
     floor = replay.noise_floor(np.zeros_like(replay.measured))
     problem = Problem.of(replay, floor.values)
     diverge(monkeypatch, lambda count: np.ones(count, bool))
-    judge = Judge(MODEL, problem, Split(((0,), (1,)), ()), floor, Nuisance.none(problem), 0.002)
+    judge = Judge(MODEL, problem, Split(((0,), (1,)), ()), floor, 0.002)
     assert judge.unfitted == np.inf
     assert sorted(np.isfinite(list(judge.unfitted_misfit().by_kind.values()))) == [False, True]
 

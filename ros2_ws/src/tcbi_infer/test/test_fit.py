@@ -133,14 +133,14 @@ def test_a_use_that_diverges_at_every_size_is_not_said_to_change_nothing(fitter,
     base = fitter.run(MODEL.to_unit(BASE)[None], radii=())
     diverge(monkeypatch, lambda model, parameters: np.full(len(parameters), "backlash" in model.effects))
     uses = ("backlash", "command_latency")
-    found = simulate_directions(fitter.problem, base, fitter.nuisance, uses, fitter.sets, 0.005)
+    found = simulate_directions(fitter.problem, base, uses, fitter.sets, 0.005)
     assert (found.uses, found.untestable, found.diverging) == (("command_latency",), (), ("backlash",))
 
 
 def test_uses_show_in_the_motions_in_which_the_base_model_does_not_diverge(fitter, monkeypatch):
     base = fitter.run(MODEL.to_unit(BASE)[None], radii=())
     diverge(monkeypatch, everywhere)
-    found = simulate_directions(fitter.problem, base, fitter.nuisance, ("backlash",), fitter.sets, 0.005)
+    found = simulate_directions(fitter.problem, base, ("backlash",), fitter.sets, 0.005)
     assert found.uses == ("backlash",) and not (found.untestable or found.diverging)
     assert not found.change[:, LOST].any() and found.change.any()
 
@@ -151,7 +151,7 @@ def test_a_single_kind_of_motion_is_predicted_by_its_own_fit_with_the_scatter_be
     scatter = Nuisance(np.broadcast_to(shift[..., None], (*shifted.observed.shape, 1)), ("joint",))
     one = np.array([LOST])
     fit = Fitter(shifted, MODEL, scatter, one, 0.002).run(MODEL.to_unit(BASE)[None], radii=(0.02,))
-    held = held_out(shifted, fit, scatter, one, 0.002)
+    held = held_out(shifted, fit, one, 0.002)
     assert fit.nuisance[0] > 1.0 and held.unit[0] == pytest.approx(fit.unit)
     np.testing.assert_allclose(held.residual, fit.residual, atol=1e-6)
 

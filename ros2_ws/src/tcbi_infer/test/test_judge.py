@@ -7,7 +7,6 @@ import pytest
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split
 from tcbi_infer.diagnose.evidence import OUTSIDE_LIBRARY, Misfit
-from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.judge import Judge
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.verdict import better_misfit, rule
@@ -32,7 +31,7 @@ def judge(replay: Replay, calm_sealed: bool) -> Judge:
     floor = replay.noise_floor(np.zeros_like(replay.measured))
     problem = Problem.of(replay, floor.values)
     split = Split(tuple((int(s),) for s in opened), tuple(map(int, sealed)))
-    return Judge(MODEL, problem, split, floor, Nuisance.none(problem), 0.002)
+    return Judge(MODEL, problem, split, floor, 0.002)
 
 
 def test_calm_sealed_motions_do_not_speak_for_a_model_that_errs_on_the_open_ones(replay):
@@ -48,5 +47,5 @@ def test_calm_sealed_motions_do_not_speak_for_a_model_that_errs_on_the_open_ones
 def test_without_sealed_motions_both_errors_of_the_model_as_it_was_are_the_same(replay):
     hard = judge(replay, calm_sealed=False)
     assert hard.unfitted > hard.unfitted_misfit().total
-    every = Judge(MODEL, hard.problem, Split(tuple((s,) for s in range(KINDS)), ()), hard.floor, hard.nuisance, 0.002)
+    every = Judge(MODEL, hard.problem, Split(tuple((s,) for s in range(KINDS)), ()), hard.floor, 0.002)
     assert every.unfitted == every.unfitted_misfit().total

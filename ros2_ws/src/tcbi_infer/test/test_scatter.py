@@ -1,6 +1,8 @@
 """Each joint's own gain: found beside what jumps, kept by the version that a diagnosis makes."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,11 +11,12 @@ from scipy.linalg import hadamard
 
 from tcbi_infer.compare import compare
 from tcbi_infer.diagnose import diagnose
+from tcbi_infer.diagnose import scatter as module
 from tcbi_infer.diagnose.adopt import adopt
 from tcbi_infer.diagnose.fit import Nuisance
-from tcbi_infer.diagnose.scatter import SCATTER, joint_gains, slopes
+from tcbi_infer.diagnose.scatter import SCATTER, joint_gains, relinearised, slopes
 from tcbi_infer.diagnose.settings import QUICK
-from tcbi_sim.model import base_model
+from tcbi_sim.model import Model, base_model
 
 SIGNS = hadamard(32)[:, 1:19].astype(float)
 RNG = np.random.default_rng(0)
@@ -38,13 +41,58 @@ def test_what_diverged_bends_slopes_only_as_much_as_it_lacks():
 
 
 def test_gains_are_those_that_the_model_knows_times_what_was_fitted():
+    def gains_of(model: Model, *deviations: float) -> tuple[float, ...]:
+        joints = ("lf_femur", "rr_tibia")[: len(deviations)]
+        scatter = Nuisance(np.zeros((1, 1, 1, len(joints))), joints)
+        fit: Any = SimpleNamespace(model=model, scatter=scatter, nuisance=np.array(deviations))
+        return joint_gains(fit)
+
     model = base_model("hexapod")
-    nuisance = Nuisance(np.zeros((1, 1, 1, 2)), ("lf_femur", "rr_tibia"))
-    found = joint_gains(model, nuisance, np.array([1.0, -2.0]))
+    found = gains_of(model, 1.0, -2.0)
     assert found == (1.0, 1.0 + SCATTER, *[1.0] * 15, 1.0 - 2 * SCATTER)
-    again = joint_gains(dataclasses.replace(model, joint_gains=found), nuisance, np.array([1.0, 0.0]))
+    again = gains_of(dataclasses.replace(model, joint_gains=found), 1.0, 0.0)
     assert again == pytest.approx((1.0, (1.0 + SCATTER) ** 2, *[1.0] * 15, 1.0 - 2 * SCATTER))
-    assert joint_gains(model, Nuisance(np.zeros((1, 1, 1, 0)), ()), np.zeros(0)) == ()
+    assert gains_of(model) == ()
+
+
+def a_fit(at: float, taken_at: float, total: float = 1.0, names: tuple[str, ...] = ("lf_femur",)) -> Any:
+    """A fit of one base parameter and one effect, and where the slopes of its scatter were taken."""
+    scatter = Nuisance(np.zeros((1, 1, 1, len(names))), names, np.array([taken_at]))
+    return SimpleNamespace(model=None, unit=np.array([at, 0.9]), scatter=scatter, total=total)
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Fits that go two thirds of the way to 0.8 with slopes of where they start; where those were taken."""
+    taken: list[float] = []
+
+    class Fake:
+        def __init__(self, problem: Any, model: Any, scatter: float, *_: Any) -> None:
+            self.scatter = scatter
+
+        def run(self, units: np.ndarray) -> Any:
+            return a_fit(units[0, 0] + (0.8 - units[0, 0]) * 2 / 3, self.scatter)
+
+    def scatter_at(problem: Any, fit: Any, *_: Any) -> float:
+        taken.append(float(fit.unit[0]))
+        return taken[-1]
+
+    monkeypatch.setattr(module, "Fitter", Fake)
+    monkeypatch.setattr(module, "joint_scatter", scatter_at)
+    return taken
+
+
+def test_a_fit_far_from_where_its_slopes_were_taken_goes_on_with_its_own_until_it_stays(runs):
+    nothing: Any = None
+    found = relinearised(nothing, a_fit(0.5, 0.2), np.arange(1), 0.005)
+    assert runs == pytest.approx([0.5, 0.7]) and found.unit[0] == pytest.approx(0.7667, abs=1e-3)
+
+
+def test_slopes_of_nearby_are_good_enough_and_none_are_taken_where_there_is_nothing_to_tell(runs):
+    nothing: Any = None
+    for fit in (a_fit(0.5, 0.45), a_fit(0.5, 0.2, total=np.inf), a_fit(0.5, 0.2, names=())):
+        assert relinearised(nothing, fit, np.arange(1), 0.005) is fit
+    assert runs == []
 
 
 def test_the_version_that_a_diagnosis_makes_knows_the_gains_and_predicts_better_by_them():

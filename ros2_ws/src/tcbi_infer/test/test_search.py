@@ -10,11 +10,13 @@ import pytest
 
 from tcbi_infer.diagnose import base_fit, search
 from tcbi_infer.diagnose.base_fit import better_base
+from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.search import Search
 from tcbi_infer.diagnose.settings import QUICK, Settings
 
 BASE_LOSS = 1000.0
 BASE = np.array([0.5, 0.5])
+NO_SCATTER = Nuisance(np.zeros((1, 1, 1, 0)), ())
 
 
 class Fake:
@@ -54,7 +56,7 @@ class Fake:
 
 
 def fitted(model: str, loss: float) -> Any:
-    return SimpleNamespace(model=model, total=loss, unit=np.r_[BASE, 0.3], nuisance=np.zeros(1))
+    return SimpleNamespace(model=model, total=loss, unit=np.r_[BASE, 0.3], scatter=NO_SCATTER, nuisance=np.zeros(0))
 
 
 @pytest.fixture
@@ -80,13 +82,13 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Any:
             directions=SimpleNamespace(uses=tuple(losses), models=tuple(losses)),
             sized=lambda data, use, sizes, count: np.array(sizes)[:, None],
         )
-        base = SimpleNamespace(unit=BASE, model="base")
-        nuisance = SimpleNamespace(effect=np.zeros((1, 1, 1, 1)), names=("lf_coxa",))
+        scatter = SimpleNamespace(effect=np.zeros((1, 1, 1, 1)), names=("lf_coxa",))
+        base = SimpleNamespace(unit=BASE, model="base", scatter=scatter, nuisance=np.zeros(1))
         gains, quiet = np.ones((5, len(losses))), lambda stage, share: None
         settings: Any = Settings()
         sets: Any = np.array([0])
         problem: Any = None
-        made = Search(problem, base, BASE_LOSS, nuisance, screen, problem, gains, sets, settings, quiet)  # type: ignore[arg-type]
+        made = Search(problem, base, BASE_LOSS, screen, problem, gains, sets, settings, quiet)  # type: ignore[arg-type]
         return made, Fake.calls
 
     return make
@@ -175,7 +177,7 @@ class TwoValleys:
         TwoValleys.whole += valleys
         start = min(starts, key=self.loss)
         unit = np.array([0.8 if start[0] > 0.7 else 0.2])
-        return SimpleNamespace(unit=unit, total=self.loss(unit))
+        return SimpleNamespace(unit=unit, total=self.loss(unit), scatter=NO_SCATTER)
 
 
 def base_again(monkeypatch: pytest.MonkeyPatch, *starts: float) -> Any:
@@ -183,9 +185,9 @@ def base_again(monkeypatch: pytest.MonkeyPatch, *starts: float) -> Any:
     monkeypatch.setattr(base_fit, "Fitter", TwoValleys)
     TwoValleys.used = TwoValleys.whole = 0
     nothing: Any = None
-    coarse: Any = SimpleNamespace(unit=np.array([0.2]), total=50.0)
+    coarse: Any = SimpleNamespace(model=None, unit=np.array([0.2]), total=50.0, scatter=NO_SCATTER)
     fits: Any = [SimpleNamespace(unit=np.array([start, 0.5]), total=0.0) for start in starts]
-    return better_base(nothing, nothing, nothing, np.arange(5), Settings(), coarse, fits, lambda stage, share: None)
+    return better_base(nothing, np.arange(5), Settings(), coarse, fits, lambda stage, share: None)
 
 
 @pytest.mark.parametrize("starts", [(0.22, 0.3, 0.75), (0.75,)])

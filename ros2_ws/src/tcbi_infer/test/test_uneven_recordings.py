@@ -93,7 +93,7 @@ def test_commands_of_repeats_that_came_at_other_times_are_told(rollouts):
     assert guard([later(rollouts[0], 0.008), *rollouts[1:]]) == []
     assert guard([later(rollouts[0], 0.023), *rollouts[1:]]) == [
         "Its commands and those of its repeats came up to 23 ms apart, and the noise floor counts what that changes as "
-        "the robot's own: record them again while the machine has nothing else to do (motion0_0)."
+        "the robot's own: record them again when the machine has nothing else to do (motion0_0)."
     ]
 
 

@@ -100,8 +100,8 @@ def _uneven_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
         times = np.stack([measurements[whole[i]].commands.time for i in group.members])
         if (apart := float(np.ptp(times, axis=0).max())) > APART:
             findings[whole[group.members[0]]].append(
-                f"Its commands and those of its repeats came up to {1e3 * apart:.0f} ms apart, and the noise floor counts "
-                "what that changes as the robot's own: record them again while the machine has nothing else to do"
+                f"Its commands and those of its repeats came up to {1e3 * apart:.0f} ms apart, and the noise floor "
+                "counts what that changes as the robot's own: record them again when the machine has nothing else to do"
             )
     return findings
 

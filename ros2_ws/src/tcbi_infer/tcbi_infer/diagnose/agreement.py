@@ -16,7 +16,7 @@ import numpy as np
 from tcbi_contract.wording import with_unit
 from tcbi_infer.compare.signals import Layout
 from tcbi_infer.diagnose.evidence import Agreement, KindValue
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import Fit, Fitter
 from tcbi_infer.diagnose.heldout import fold_indices
 from tcbi_infer.diagnose.problem import Problem
 
@@ -31,20 +31,19 @@ PRIOR = 1e-3  # of the inverse variance of a parameter, as in the fit
 
 
 def agreement(
-    problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, covariance: np.ndarray, seed: int = 0
+    problem: Problem, fit: Fit, sets: np.ndarray, covariance: np.ndarray, seed: int = 0
 ) -> tuple[Agreement, ...]:
     """Each parameter's values by kind of motion, and whether they agree.
 
     Args:
       problem: the data.
-      fit: to all open sets.
-      nuisance: scatter between joints; each kind may have its own, within its prior about the common one.
+      fit: to all open sets; each kind may have its own scatter between joints, within its prior about the common one.
       sets: the open ones.
       covariance: (P, P) of the common values in unit space, as their 90 % intervals have it.
       seed: of the draws.
     """
     folds = fold_indices(problem, sets)
-    steps, curvature, part = _steps(problem, fit, nuisance, sets, folds)
+    steps, curvature, part = _steps(problem, fit, sets, folds)
     variance = np.maximum([np.mean(s**2, axis=0) for s in steps], curvature)
     known = variance <= DETERMINED**2
     rng = np.random.default_rng(seed)
@@ -72,14 +71,14 @@ def disagreeing(found: Sequence[Agreement]) -> list[Agreement]:
 
 
 def _steps(
-    problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, folds: Sequence[np.ndarray]
+    problem: Problem, fit: Fit, sets: np.ndarray, folds: Sequence[np.ndarray]
 ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """(2 N, P) steps of each kind for its residual (first), for its N shifts in time, and all their negatives.
 
     Also (F, P) variances from the curvature alone, and (F, P) parts of the steps' mean squares that differ between
     shifts if outliers weigh as little wherever they are shifted to: else a few of these would differ for them all.
     """
-    fitter, count = Fitter(problem, fit.model, nuisance, sets, 0.0), len(fit.unit)
+    fitter, count = Fitter(problem, fit.model, fit.scatter, sets, 0.0), len(fit.unit)
     weight = fitter.precision(fit.residual, fit.scale, fit.bend)
     weighted = fitter.precision(fit.residual, fit.scale, np.zeros_like(fit.bend)) * fit.residual
     every = _common_period(problem.replay.layout)
@@ -90,7 +89,7 @@ def _steps(
         inverse = np.linalg.inv(fit.normal[fold].sum(axis=0) + prior)
         pulls, moved = [], []
         for s in fold:
-            design = np.concatenate([fit.jacobian[s], nuisance.effect[sets[s]]], axis=-1)
+            design = np.concatenate([fit.jacobian[s], fit.scatter.effect[sets[s]]], axis=-1)
             there = _there(problem, sets[s])
             pulls.append(_pulls(weight[s][..., None] * design, fit.residual[s], there, every))
             moved.append(_pulls(design, weighted[s], there, every))

@@ -7,7 +7,7 @@ import numpy as np
 
 from tcbi_infer.diagnose.fit import RACE, Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_infer.diagnose.scatter import joint_scatter
+from tcbi_infer.diagnose.scatter import joint_scatter, relinearised
 from tcbi_infer.diagnose.search import Progress
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_sim.model import Model
@@ -41,7 +41,7 @@ def base_starts(model: Model) -> np.ndarray:
 
 def fit_base(
     problem: Problem, model: Model, sets: np.ndarray, settings: Settings, progress: Progress
-) -> tuple[Problem, Fit, Nuisance]:
+) -> tuple[Problem, Fit]:
     """The base model's parameters from a grid of starts, then again with scatter between joints allowed for.
 
     Args:
@@ -52,7 +52,7 @@ def fit_base(
       progress: called with the stage and the share done.
 
     Returns:
-      the problem with the autocorrelation of what the first fit left, the fit, and the scatter that it allows for.
+      the problem with the autocorrelation of what the first fit left, and the fit.
     """
     progress("fitting the base model", 0.0)
     starts = base_starts(model)
@@ -63,16 +63,15 @@ def fit_base(
     full[sets] = first.residual
     problem = problem.with_autocorrelation(full)
     progress("fitting the base model", 0.12)
-    nuisance = joint_scatter(problem, first, sets, settings.coarse)
-    again = Fitter(problem, model, nuisance, sets, settings.coarse)
+    again = Fitter(problem, model, joint_scatter(problem, first, sets, settings.coarse), sets, settings.coarse)
     fit = again.run(first.unit[None])
-    return problem, again.escape(fit, len(model.parameters)) if settings.escape else fit, nuisance
+    if settings.escape:
+        fit = again.escape(fit, len(model.parameters))
+    return problem, relinearised(problem, fit, sets, settings.coarse)
 
 
 def better_base(
     problem: Problem,
-    model: Model,
-    nuisance: Nuisance,
     sets: np.ndarray,
     settings: Settings,
     base: Fit,
@@ -97,12 +96,12 @@ def better_base(
     if not starts:
         return None
     progress("fitting the base model again", 0.85)
-    fitter = Fitter(problem, model, nuisance, sets, settings.coarse)
+    fitter = Fitter(problem, base.model, base.scatter, sets, settings.coarse)
     few = fitter.on_few_sets()
     here, *raced = (few.run(start[None], radii=RACE, valleys=False) for start in (base.unit, *starts))
     best = min(raced, key=lambda fit: fit.total)
     least = max(BETTER, BETTER_SHARE * (base.total - min(fit.total for fit in candidates)))
     if here.total - best.total < least * len(few.sets) / len(sets):
         return None
-    found = fitter.run(best.unit[None])
+    found = relinearised(problem, fitter.run(best.unit[None]), sets, settings.coarse)
     return found if base.total - found.total > least else None

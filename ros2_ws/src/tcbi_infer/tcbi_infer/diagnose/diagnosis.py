@@ -35,7 +35,7 @@ from tcbi_infer.diagnose.evidence import (
     NextMotion,
 )
 from tcbi_infer.diagnose.false_alarms import false_alarms
-from tcbi_infer.diagnose.fit import Fit, Nuisance
+from tcbi_infer.diagnose.fit import Fit
 from tcbi_infer.diagnose.judge import Judge, Judged, screened
 from tcbi_infer.diagnose.leftover import explain
 from tcbi_infer.diagnose.motions import ready_motions
@@ -151,35 +151,29 @@ class _Run:
 
     def go(self) -> Diagnosis:
         """All stages in order."""
-        self.problem, coarse, nuisance = fit_base(self.problem, self.model, self.sets, self.settings, self.progress)
-        found = self._search(coarse, nuisance)
+        self.problem, coarse = fit_base(self.problem, self.model, self.sets, self.settings, self.progress)
+        found = self._search(coarse)
         rough = [fit for fit, _ in found.fits.values()]
-        better = better_base(self.problem, self.model, nuisance, self.sets, self.settings, coarse, rough, self.progress)
-        if better is not None:
-            found = self._search(better, nuisance)
-        return self._rule(found, nuisance)
+        better = better_base(self.problem, self.sets, self.settings, coarse, rough, self.progress)
+        return self._rule(found if better is None else self._search(better))
 
-    def _search(self, coarse: Fit, nuisance: Nuisance) -> "_Found":
+    def _search(self, coarse: Fit) -> "_Found":
         """Screen the candidates around the base model's fit, and fit those with hope."""
         # what a coarse time step gets wrong must not look like an effect
-        base = refined(self.problem, coarse, nuisance, self.sets, self.settings)
+        base = refined(self.problem, coarse, self.sets, self.settings)
         self.progress("screening effects", 0.25)
         # with one kind of motion nothing tells candidates apart; one that is asked for alone is fitted all the same
         comparable = len(self.split.folds) > 1 or len(self.uses) == 1
         uses = self.uses if comparable and base.total < np.inf else []
-        directions = simulate_directions(
-            self.problem, base, nuisance, uses, self.sets, self.settings.coarse, self._screened()
-        )
-        judge = Judge(self.model, self.problem, self.split, self.floor, nuisance, self.settings.timestep)
+        directions = simulate_directions(self.problem, base, uses, self.sets, self.settings.coarse, self._screened())
+        judge = Judge(self.model, self.problem, self.split, self.floor, self.settings.timestep)
         before = judge.judge(base)
         if not directions.uses:
             return _Found(coarse, base, judge, before, directions)
-        screen = Screen(self.problem, base, nuisance, directions, self.sets)
+        screen = Screen(self.problem, base, directions, self.sets)
         data = screen.targets(base.residual[None])
         gains = screen.held_out(data)[:, :, 0]
-        search = Search(
-            self.problem, base, coarse.total, nuisance, screen, data, gains, self.sets, self.settings, self.progress
-        )
+        search = Search(self.problem, base, coarse.total, screen, data, gains, self.sets, self.settings, self.progress)
         fits = search.fit(search.best_by_screening(), (0.55, 0.7))
         fits |= search.fit(search.rivals(fits), (0.7, 0.75), fits)
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
@@ -192,7 +186,7 @@ class _Run:
                 after |= {u: judge.judge(fine) for u, (_, fine) in further.items()}
         return _Found(coarse, base, judge, before, directions, search, fits, after)
 
-    def _rule(self, found: "_Found", nuisance: Nuisance) -> Diagnosis:
+    def _rule(self, found: "_Found") -> Diagnosis:
         """Hold the candidates' gains against those of a search where nothing is missing, and conclude."""
         judge, before, after, directions = found.judge, found.before, found.after, found.directions
         drift, search = self._drift(found.coarse, found.base), found.search
@@ -201,7 +195,7 @@ class _Run:
         self.progress("simulating nothing missing", 0.85)
         leftover = min([found.base, *[fine for _, fine in found.fits.values()]], key=lambda f: f.total).residual
         rng = np.random.default_rng(self.settings.seed)
-        null = simulate_null(self.problem, search.screen, nuisance, leftover, self.sets, rng)
+        null = simulate_null(self.problem, search.screen, found.base.scatter, leftover, self.sets, rng)
         alike = search.alike(list(found.fits))
         evidence = [
             screened(use, search.gains[:, u], search.screen.sizes, before.error)
@@ -262,7 +256,7 @@ class _Run:
         beyond = f" {leftover.statement}" if ruling.verdict == OUTSIDE_LIBRARY else ""
         fits = {"": before.fit, **{use: judged.fit for use, judged in after.items()}}
         agreed = {
-            e.use: agreement(self.problem, fits[e.use], judge.nuisance, self.sets, np.array(e.spread))
+            e.use: agreement(self.problem, fits[e.use], self.sets, np.array(e.spread))
             for e in (base, *ranking)
             if e.refined
         }

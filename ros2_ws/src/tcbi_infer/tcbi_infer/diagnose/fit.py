@@ -44,10 +44,12 @@ class Nuisance:
     Attributes:
       effect: (S, T, C, Q) change of the prediction for one prior standard deviation of each.
       names: (Q).
+      at: (P,) unit vector of the fit around which it is linear, of the base model or with an effect after it.
     """
 
     effect: np.ndarray
     names: tuple[str, ...]
+    at: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
     def none(problem: Problem) -> "Nuisance":
@@ -61,7 +63,7 @@ class Fit:
 
     Attributes:
       unit: (P,) parameters in [0, 1].
-      nuisance: (Q,) in prior standard deviations.
+      scatter: the nuisances that it allows for; `nuisance` (Q,) their values in prior standard deviations.
       residual: (S, T, C) of all sets that were simulated (zero elsewhere), nuisances taken out.
       loss: (S,) of each set.
       scale: (G,).
@@ -72,6 +74,7 @@ class Fit:
 
     model: Model
     unit: np.ndarray
+    scatter: Nuisance
     nuisance: np.ndarray
     predicted: np.ndarray
     residual: np.ndarray
@@ -345,6 +348,7 @@ class Fitter:
         return Fit(
             self.model,
             place.unit,
+            self.nuisance,
             place.nuisance,
             place.predicted,
             residual,

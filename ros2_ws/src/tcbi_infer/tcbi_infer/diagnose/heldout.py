@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from tcbi_infer.diagnose.fit import Fit, Nuisance
+from tcbi_infer.diagnose.fit import Fit
 from tcbi_infer.diagnose.least_squares import bounded_step
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.engine import simulate
@@ -38,7 +38,7 @@ def fold_indices(problem: Problem, sets: np.ndarray) -> list[np.ndarray]:
     return [np.nonzero(kinds == k)[0] for k in dict.fromkeys(kinds)]
 
 
-def held_out(problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, timestep: float) -> HeldOut:
+def held_out(problem: Problem, fit: Fit, sets: np.ndarray, timestep: float) -> HeldOut:
     """Predicts each fold from a fit to the others; a single fold from the fit to itself."""
     folds = fold_indices(problem, sets)
     count = len(fit.unit)
@@ -51,7 +51,7 @@ def held_out(problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, t
         step = bounded_step(fit.normal[train].sum(axis=0), fit.slope[train].sum(axis=0), fit.unit, fit.nuisance)
         units[f] = np.clip(fit.unit + np.clip(step[:count], -0.25, 0.25), 0.0, 1.0)
         deltas[f] = fit.nuisance + step[count:]
-    predicted = _predict_folds(problem, fit, nuisance, sets, folds, units, deltas, timestep)
+    predicted = _predict_folds(problem, fit, sets, folds, units, deltas, timestep)
     residual = problem.residual(predicted, sets)
     score = np.empty(len(folds))
     for f, fold in enumerate(folds):
@@ -66,7 +66,6 @@ def held_out(problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, t
 def _predict_folds(
     problem: Problem,
     fit: Fit,
-    nuisance: Nuisance,
     sets: np.ndarray,
     folds: list[np.ndarray],
     units: np.ndarray,
@@ -88,7 +87,7 @@ def _predict_folds(
     )
     predicted = replay.layout.extract(rollouts)[:, 0, -len(replay.time) :]
     predicted[rollouts.diverged[:, 0]] = np.nan
-    shift = np.einsum("stcq,sq->stc", nuisance.effect[sets], deltas[owner])
+    shift = np.einsum("stcq,sq->stc", fit.scatter.effect[sets], deltas[owner])
     return predicted + shift
 
 

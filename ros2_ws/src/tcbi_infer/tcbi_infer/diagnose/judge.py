@@ -1,6 +1,6 @@
 """What a fit is worth: its error on motions that it has not seen, its intervals, its gain over the base model.
 
-judge = Judge(model, problem, split, floor, nuisance, timestep)
+judge = Judge(model, problem, split, floor, timestep)
 before, after = judge.judge(base), judge.judge(fit)
 judge.evidence("backlash", after, before, drift)
 """
@@ -17,7 +17,7 @@ from tcbi_infer.compare.replicates import Split
 from tcbi_infer.compare.signals import JOINT
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import Evidence, Misfit, Moment, ParameterEstimate
-from tcbi_infer.diagnose.fit import Fit, Nuisance
+from tcbi_infer.diagnose.fit import Fit
 from tcbi_infer.diagnose.heldout import HeldOut, fold_indices, held_out, intervals
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_gains
@@ -50,11 +50,10 @@ class Judge:
         problem: Problem,
         split: Split,
         floor: NoiseFloor,
-        nuisance: Nuisance,
         timestep: float,
     ) -> None:
         self.model, self.problem, self.replay, self.split, self.floor = model, problem, problem.replay, split, floor
-        self.nuisance, self.timestep = nuisance, timestep
+        self.timestep = timestep
         self.sets = np.array(split.open, int)
         self.sizes = np.array([len(fold) for fold in fold_indices(problem, self.sets)])
         unseen = list(split.sealed) or list(self.sets)
@@ -67,7 +66,7 @@ class Judge:
 
     def judge(self, fit: Fit) -> Judged:
         """Predict each kind of motion from the others, and the sealed motions from all."""
-        held = held_out(self.problem, fit, self.nuisance, self.sets, self.timestep)
+        held = held_out(self.problem, fit, self.sets, self.timestep)
         return Judged(fit, held, self._unseen_error(fit, held))
 
     def held_out_error(self, judged: Judged) -> float:
@@ -106,12 +105,9 @@ class Judge:
         """On sealed motions, cross-validated where none are sealed; each servo with its own gain."""
         sealed = list(self.split.sealed)
         if sealed:
-            model = dataclasses.replace(fit.model, joint_gains=self._joint_gains(fit))
+            model = dataclasses.replace(fit.model, joint_gains=joint_gains(fit))
             return self._error(self.replay.predict(model, fit.parameters[None], sealed, self.timestep)[0], sealed)
         return self._error(self.problem.observed[self.sets] - held.residual, list(self.sets))
-
-    def _joint_gains(self, fit: Fit) -> tuple[float, ...]:
-        return joint_gains(fit.model, self.nuisance, fit.nuisance)
 
     def _error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
         """Of predictions (sets, T, C); infinite where one diverged."""
@@ -155,7 +151,7 @@ class Judge:
             names=fit.model.names,
             values=tuple(float(v) for v in fit.parameters),
             spread=tuple(tuple(float(x) for x in row) for row in covariance),
-            joint_gains=self._joint_gains(fit),
+            joint_gains=joint_gains(fit),
         )
 
     def moments(self, before: Judged, after: Mapping[str, Judged], count: int = 4, span_s: float = 1.5) -> list[Moment]:

@@ -3,13 +3,15 @@
 import numpy as np
 from scipy.linalg import hadamard
 
-from tcbi_infer.diagnose.fit import Fit, Nuisance
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_sim.model import JOINT_GAINS, Model
+from tcbi_sim.model import JOINT_GAINS
 from tcbi_sim.rigs import load_rig
 
 SCATTER = 0.03  # standard deviation of one servo's gain about its siblings', relative
 STEP = 2.0  # standard deviations, by which every gain is changed
+FAR = 0.1  # of a base parameter's range: slopes from so far off are of another motion
+ROUNDS = 3  # of fits with slopes anew
 
 
 def joint_scatter(problem: Problem, base: Fit, sets: np.ndarray, timestep: float) -> Nuisance:
@@ -34,22 +36,38 @@ def joint_scatter(problem: Problem, base: Fit, sets: np.ndarray, timestep: float
     predicted = problem.replay.predict(model, vectors, list(sets), timestep)
     effect = np.zeros((*problem.observed.shape, len(joints)))
     effect[sets] = slopes(signs, predicted) / STEP
-    return Nuisance(effect, tuple(joints))
+    return Nuisance(effect, tuple(joints), base.unit)
 
 
-def joint_gains(model: Model, nuisance: Nuisance, delta: np.ndarray) -> tuple[float, ...]:
-    """(J,) what a model with these nuisances says of each joint's gain, over what its parameters say; () if nothing.
+def relinearised(problem: Problem, fit: Fit, sets: np.ndarray, timestep: float) -> Fit:
+    """The fit carried on with the scatter's slopes from where it stands, until it stays near where they were taken.
 
-    Args:
-      model: that was fitted; it may know gains already.
-      nuisance: of names (Q,).
-      delta: (Q,) as fitted, in standard deviations.
+    A base model without damping carries half the weight with soft servos; how a joint's gain changes its motion is not
+    how it changes that of a fit with damping, which those slopes held back from the truth.
     """
-    if not nuisance.names:
-        return model.joint_gains
-    joints = load_rig(model.rig).joint_names
-    own = dict(zip(nuisance.names, 1.0 + SCATTER * delta, strict=True))
-    known = model.joint_gains or (1.0,) * len(joints)
+    for _ in range(ROUNDS):
+        shared = min(len(fit.scatter.at), len(fit.unit))
+        moved = np.abs(fit.unit[:shared] - fit.scatter.at[:shared])
+        if not (fit.scatter.names and fit.total < np.inf and moved.max() > FAR):
+            break
+        fit = Fitter(problem, fit.model, joint_scatter(problem, fit, sets, timestep), sets, timestep).run(
+            fit.unit[None]
+        )
+    return fit
+
+
+def joint_gains(fit: Fit) -> tuple[float, ...]:
+    """(J,) what a fit says of each joint's gain, over what its parameters say; its model may know gains already.
+
+    Returns:
+      () where neither says anything.
+    """
+    known = fit.model.joint_gains
+    if not fit.scatter.names:
+        return known
+    joints = load_rig(fit.model.rig).joint_names
+    own = dict(zip(fit.scatter.names, 1.0 + SCATTER * fit.nuisance, strict=True))
+    known = known or (1.0,) * len(joints)
     return tuple(float(np.clip(k * own.get(j, 1.0), *JOINT_GAINS)) for j, k in zip(joints, known, strict=True))
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import Fit, Fitter
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import SCATTER
 from tcbi_sim.model import Model
@@ -90,7 +90,6 @@ def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
 def simulate_directions(
     problem: Problem,
     base: Fit,
-    nuisance: Nuisance,
     uses: Sequence[str],
     sets: np.ndarray,
     timestep: float,
@@ -99,13 +98,13 @@ def simulate_directions(
     """Simulates every use at a few sizes, base parameters at the base fit; sets that diverge there show no change."""
     reference = problem.replay.predict(base.model, base.parameters[None], list(sets), timestep)[0]
     names = [use.partition(":")[0] for use in uses]
-    candidates = [_candidate(base, nuisance, use, names) for use in uses]
+    candidates = [_candidate(base, use, names) for use in uses]
     predicted = _predictions(problem, base.unit, list(sets), timestep, candidates, progress)
     counted = (problem.weight[list(sets)] > 0) & np.isfinite(reference)
     owner, units, changes, bounds, models, untestable, diverging, kept = [], [], [], [], [], [], [], []
     for use, (model, points, joint), values in zip(uses, candidates, predicted, strict=True):
         if joint:
-            change = SCREENED_SCATTER * nuisance.effect[sets][..., nuisance.names.index(joint)][None]
+            change = SCREENED_SCATTER * base.scatter.effect[sets][..., base.scatter.names.index(joint)][None]
         else:
             change = values - reference
         change = np.where(counted, change, 0.0)
@@ -146,10 +145,10 @@ class Candidate(NamedTuple):
     joint: str  # whose scatter was simulated already as a nuisance, else ""
 
 
-def _candidate(base: Fit, nuisance: Nuisance, use: str, names: list[str]) -> Candidate:
+def _candidate(base: Fit, use: str, names: list[str]) -> Candidate:
     model = base.model.with_effect(use)
     name, _, joint = use.partition(":")
-    if name == "gain_scatter" and joint in nuisance.names:
+    if name == "gain_scatter" and joint in base.scatter.names:
         return Candidate(
             model, np.array([[float(model.parameters[-1].to_unit(1.0 + SCREENED_SCATTER * SCATTER))]]), joint
         )
@@ -228,20 +227,18 @@ class Targets:
 class Screen:
     """One-step, cross-validated score of every direction, for the data and for simulated null data."""
 
-    def __init__(
-        self, problem: Problem, base: Fit, nuisance: Nuisance, directions: Directions, sets: np.ndarray
-    ) -> None:
+    def __init__(self, problem: Problem, base: Fit, directions: Directions, sets: np.ndarray) -> None:
         self.sets = np.asarray(sets, int)
         self.directions = directions
         count = len(self.sets)
-        fitter = Fitter(problem, base.model, nuisance, sets, timestep=0.0)
+        fitter = Fitter(problem, base.model, base.scatter, sets, timestep=0.0)
         self.precision = fitter.precision(base.residual, base.scale, base.bend).reshape(count, -1)
         self.independent = float((problem.weight[self.sets] * problem.share[problem.group]).sum())
-        design = np.concatenate([base.jacobian, nuisance.effect[self.sets]], axis=-1)
+        design = np.concatenate([base.jacobian, base.scatter.effect[self.sets]], axis=-1)
         self.design = design.reshape(count, -1, design.shape[-1])
         self.change = directions.change.reshape(len(directions.change), count, -1)
         self.base_count = len(base.unit)
-        prior = np.r_[np.full(self.base_count, 1e-3), np.ones(nuisance.effect.shape[-1])]
+        prior = np.r_[np.full(self.base_count, 1e-3), np.ones(len(base.nuisance))]
         weighted = self.design * self.precision[..., None]
         self.moments = Moments(
             np.einsum("sin,sim->snm", weighted, self.design, optimize=True),

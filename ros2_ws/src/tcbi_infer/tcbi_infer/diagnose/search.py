@@ -8,6 +8,7 @@ import numpy as np
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.scatter import relinearised
 from tcbi_infer.diagnose.screen import Screen, Targets
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.diagnose.starts import start_points
@@ -37,7 +38,6 @@ class Search:
     problem: Problem
     base: Fit
     base_loss: float
-    nuisance: Nuisance
     screen: Screen
     data: Targets
     gains: np.ndarray
@@ -76,9 +76,11 @@ class Search:
         u = min(fits, key=lambda u: fits[u][0].total)
         self.progress(f"fitting {self.names[u]} elsewhere", 0.75)
         rough, fine = fits[u]
-        other = self._fitter(fine.model).escape(rough, len(self.base.unit))
-        found = fine if other is rough else refined(self.problem, other, self.nuisance, self.sets, self.settings)
-        return {u: (other, found)} if found.total < fine.total else {}
+        other = self._fitter(fine.model, rough.scatter).escape(rough, len(self.base.unit))
+        if other is rough:
+            return {}
+        found = self._finished(other)
+        return {u: found} if found[1].total < fine.total else {}
 
     def hidden(self, fits: Collection[int]) -> dict[int, np.ndarray]:
         """Uses of other effects that start well far from the base fit, where what was fitted leaves too much.
@@ -89,7 +91,7 @@ class Search:
         Returns:
           Uses, each with (n, P) starts.
         """
-        seen, none = {_effect(self.names[u]) for u in fits}, np.zeros(self.nuisance.effect.shape[-1])
+        seen, none = {_effect(self.names[u]) for u in fits}, np.zeros(len(self.base.nuisance))
         losses: dict[int, float] = {}
         starts: dict[int, np.ndarray] = {}
         for u in map(int, np.argsort(-self.worth)):
@@ -118,19 +120,20 @@ class Search:
         leader = min(fits, key=lambda u: fits[u][0].total)
         best, anywhere = fits[leader][0], ":" in self.names[leader]
         known = best.unit[: len(self.base.unit)]
-        without, own = self._losses_on_few(self.base.model, np.array([known, self.base.unit]), best.nuisance)
-        (with_it,) = self._losses_on_few(best.model, best.unit, best.nuisance)
+        both = np.array([known, self.base.unit])
+        without, own = self._losses_on_few(self.base.model, both, best.nuisance, best.scatter)
+        (with_it,) = self._losses_on_few(best.model, best.unit, best.nuisance, best.scatter)
         if without - with_it < LEAST_WORTH:
             return {}
         most = min(own, without - RIVAL * (without - with_it))
-        scatter = {f"gain_scatter:{joint}" for joint in self.nuisance.names}
+        scatter = {f"gain_scatter:{joint}" for joint in self.base.scatter.names}
         explained: dict[int, tuple[float, np.ndarray]] = {}
         for u, model in enumerate(self.screen.directions.models):
             if u in fits or (":" in self.names[u] and not anywhere) or self.names[u] in scatter:
                 continue
             sizes = self.screen.sized(self.data, u, RIVAL_SIZES, 1)
             starts = np.concatenate([np.repeat(known[None], len(sizes), axis=0), sizes], axis=1)
-            losses = self._losses_on_few(model, starts, best.nuisance)
+            losses = self._losses_on_few(model, starts, best.nuisance, best.scatter)
             i = int(np.argmin(losses))
             if losses[i] < most:
                 explained[u] = losses[i], starts[i][None]
@@ -167,11 +170,7 @@ class Search:
         gains = {u: self.base_loss - rough.total for u, (_, rough) in fitted.items()}
         best = max([self.base_loss - least_loss, *gains.values()])
         least = min(HOPELESS * best, best)
-        return {
-            u: (rough, refined(self.problem, rough, self.nuisance, self.sets, self.settings))
-            for u, (_, rough) in fitted.items()
-            if gains[u] >= least
-        }
+        return {u: self._finished(rough) for u, (_, rough) in fitted.items() if gains[u] >= least}
 
     def _promising(self, starts: Mapping[int, np.ndarray], others: Fits) -> list[int]:
         """Uses whose (n, P) starts explain enough of a few sets to be fitted to all."""
@@ -182,14 +181,21 @@ class Search:
 
     def _gain_on_few(self, model: Model, units: np.ndarray) -> float:
         """Nats that the best of (n, P) parameters of a model explains of a few sets beyond the base model's fit."""
-        none = np.zeros(self.nuisance.effect.shape[-1])
+        none = np.zeros(len(self.base.nuisance))
         return min(self._losses_on_few(self.base.model, self.base.unit, none)) - min(
             self._losses_on_few(model, units, none)
         )
 
-    def _losses_on_few(self, model: Model, units: np.ndarray, nuisance: np.ndarray) -> list[float]:
-        few = self._fitter(model).on_few_sets()
+    def _losses_on_few(
+        self, model: Model, units: np.ndarray, nuisance: np.ndarray, scatter: Nuisance | None = None
+    ) -> list[float]:
+        few = self._fitter(model, scatter).on_few_sets()
         return few.start_losses(few.predict(units), nuisance)
+
+    def _finished(self, rough: Fit) -> tuple[Fit, Fit]:
+        """A coarse fit with the scatter's slopes of where it ends, and the same with fine steps."""
+        rough = relinearised(self.problem, rough, self.sets, self.settings.coarse)
+        return rough, refined(self.problem, rough, self.sets, self.settings)
 
     def alike(self, uses: Sequence[int]) -> dict[str, tuple[str, ...]]:
         """By each use's name, the others that change the signals as it does."""
@@ -206,15 +212,16 @@ class Search:
         fitter = self._fitter(self.screen.directions.models[use])
         return start_points(self.screen, self.data, use, self.base, fitter)
 
-    def _fitter(self, model: Model) -> Fitter:
-        return Fitter(self.problem, model, self.nuisance, self.sets, self.settings.coarse)
+    def _fitter(self, model: Model, scatter: Nuisance | None = None) -> Fitter:
+        """Of a model, with the base model's scatter unless another is given."""
+        return Fitter(self.problem, model, scatter or self.base.scatter, self.sets, self.settings.coarse)
 
 
-def refined(problem: Problem, fit: Fit, nuisance: Nuisance, sets: np.ndarray, settings: Settings) -> Fit:
+def refined(problem: Problem, fit: Fit, sets: np.ndarray, settings: Settings) -> Fit:
     """A fit carried on with fine steps."""
     if settings.timestep >= settings.coarse:
         return fit
-    return Fitter(problem, fit.model, nuisance, sets, settings.timestep).polish(fit)
+    return Fitter(problem, fit.model, fit.scatter, sets, settings.timestep).polish(fit)
 
 
 def _effect(use: str) -> str:
