@@ -85,12 +85,12 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def test_a_fit_far_from_where_its_slopes_were_taken_goes_on_with_its_own_until_it_stays(runs):
     nothing: Any = None
     found = relinearised(nothing, a_fit(0.5, 0.2), np.arange(1), 0.005)
-    assert runs == pytest.approx([0.5, 0.7]) and found.unit[0] == pytest.approx(0.7667, abs=1e-3)
+    assert runs == pytest.approx([0.5, 0.7, 0.8 - 0.1 / 3]) and found.unit[0] == pytest.approx(0.8 - 0.1 / 9)
 
 
 def test_slopes_of_nearby_are_good_enough_and_none_are_taken_where_there_is_nothing_to_tell(runs):
     nothing: Any = None
-    for fit in (a_fit(0.5, 0.45), a_fit(0.5, 0.2, total=np.inf), a_fit(0.5, 0.2, names=())):
+    for fit in (a_fit(0.5, 0.35), a_fit(0.5, 0.2, total=np.inf), a_fit(0.5, 0.2, names=())):
         assert relinearised(nothing, fit, np.arange(1), 0.005) is fit
     assert runs == []
 
