@@ -95,7 +95,7 @@ def test_a_motion_that_diverges_at_the_point_itself_costs_the_others_no_slopes(f
 
 
 def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter, monkeypatch):
-    fitter = Fitter(fitter.problem, MODEL, fitter.nuisance, fitter.sets, 0.005)
+    fitter = Fitter(fitter.problem, MODEL, fitter.scatter, fitter.sets, 0.005)
     good = dataclasses.replace(fitter.run(MODEL.to_unit(BASE)[None], radii=()), converged=True)
     assert fitter.polish(good).converged
     diverge(monkeypatch, everywhere)

@@ -122,8 +122,8 @@ class _Place:
 class Fitter:
     """Fits models of one structure to the open sets of a problem."""
 
-    def __init__(self, problem: Problem, model: Model, nuisance: Nuisance, sets: np.ndarray, timestep: float) -> None:
-        self.problem, self.model, self.nuisance, self.timestep = problem, model, nuisance, timestep
+    def __init__(self, problem: Problem, model: Model, scatter: Nuisance, sets: np.ndarray, timestep: float) -> None:
+        self.problem, self.model, self.scatter, self.timestep = problem, model, scatter, timestep
         self.sets = np.asarray(sets, int)
 
     def few_positions(self) -> np.ndarray:
@@ -133,7 +133,7 @@ class Fitter:
     def on_few_sets(self) -> "Fitter":
         """A fitter of these alone, with rough time steps: it says where to go on, and no more."""
         step = max(self.timestep, ROUGH_STEP)
-        return Fitter(self.problem, self.model, self.nuisance, self.sets[self.few_positions()], step)
+        return Fitter(self.problem, self.model, self.scatter, self.sets[self.few_positions()], step)
 
     def predict(self, unit: np.ndarray) -> np.ndarray:
         """(N, P) unit vectors -> (N, open sets, T, C)."""
@@ -142,7 +142,7 @@ class Fitter:
 
     def residual(self, predicted: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """(..., open sets, T, C) with the nuisances taken out."""
-        return self.problem.residual(predicted + self.nuisance.effect[self.sets] @ nuisance, self.sets)
+        return self.problem.residual(predicted + self.scatter.effect[self.sets] @ nuisance, self.sets)
 
     def scales(self, residual: np.ndarray) -> np.ndarray:
         """(G,) scales of a residual of the open sets."""
@@ -171,7 +171,7 @@ class Fitter:
           delta: (Q,) to start from.
           scale: (G,).
         """
-        effect = self.nuisance.effect[self.sets]
+        effect = self.scatter.effect[self.sets]
         if not len(delta) or not np.isfinite(predicted).all():
             return delta
         target = self.problem.residual(predicted, self.sets)
@@ -210,7 +210,7 @@ class Fitter:
           most: steps at each radius; fewer if the loss stays.
           valleys: look far along the direction that the data tell worst, between one radius and the next.
         """
-        delta = np.zeros(self.nuisance.effect.shape[-1]) if nuisance is None else nuisance.copy()
+        delta = np.zeros(self.scatter.effect.shape[-1]) if nuisance is None else nuisance.copy()
         unit, predicted = self.best_start(starts, delta)
         place = self._place(unit, delta, predicted)
         slopes = Slopes(self.predict)
@@ -249,7 +249,7 @@ class Fitter:
         normal, slope = self._quadratic(place.residual, place.scale, jacobian, bend)
         step = bounded_step(normal.sum(axis=0), slope.sum(axis=0), place.unit, place.nuisance)
         move, move_delta = step[: len(place.unit)], step[len(place.unit) :]
-        left = place.residual - jacobian @ move - self.nuisance.effect[self.sets] @ move_delta
+        left = place.residual - jacobian @ move - self.scatter.effect[self.sets] @ move_delta
         expected = before - self._total(left, place.nuisance + move_delta, place.scale)
 
         def trial(share: float) -> Trial:
@@ -280,7 +280,7 @@ class Fitter:
                 residual = self.residual(t.predicted, t.nuisance)
                 matrix, slope = self._quadratic(residual, place.scale, jacobian, bend)
                 step = bounded_step(matrix.sum(axis=0) + wall, slope.sum(axis=0), t.unit, t.nuisance)
-                left = residual - jacobian @ step[:count] - self.nuisance.effect[self.sets] @ step[count:]
+                left = residual - jacobian @ step[:count] - self.scatter.effect[self.sets] @ step[count:]
                 ends.append((self._total(left, t.nuisance + step[count:], place.scale), t.unit + step[:count]))
         before = self._total(place.residual, place.nuisance, place.scale)
         followed = [
@@ -338,7 +338,7 @@ class Fitter:
         self, residual: np.ndarray, scale: np.ndarray, jacobian: np.ndarray, bend: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(open sets, K, K) normal matrices and (open sets, K) slopes of parameters and nuisances."""
-        design = np.concatenate([jacobian, self.nuisance.effect[self.sets]], axis=-1)
+        design = np.concatenate([jacobian, self.scatter.effect[self.sets]], axis=-1)
         return gram(design, np.nan_to_num(residual), self.precision(residual, scale, bend))
 
     def _finish(self, place: _Place, jacobian: np.ndarray, bend: np.ndarray, converged: bool) -> Fit:
@@ -348,7 +348,7 @@ class Fitter:
         return Fit(
             self.model,
             place.unit,
-            self.nuisance,
+            self.scatter,
             place.nuisance,
             place.predicted,
             residual,

@@ -49,7 +49,7 @@ def _settled(few: Fitter, positions: np.ndarray, starts: np.ndarray, base: Fit) 
     """
     count = len(base.unit)
     rates = np.array([_rate(p, v) for p, v in zip(base.model.parameters, base.parameters, strict=True)])
-    design = np.concatenate([base.jacobian[positions] * rates, few.nuisance.effect[few.sets]], axis=-1)
+    design = np.concatenate([base.jacobian[positions] * rates, few.scatter.effect[few.sets]], axis=-1)
     best_loss, best = np.zeros(0), np.zeros((0, starts.shape[1]))
     zero = np.zeros(design.shape[-1] - count)
     for _ in range(SETTLING):
