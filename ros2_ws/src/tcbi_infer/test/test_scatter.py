@@ -90,7 +90,7 @@ def test_a_fit_far_from_where_its_slopes_were_taken_goes_on_with_its_own_until_i
 
 def test_slopes_of_nearby_are_good_enough_and_none_are_taken_where_there_is_nothing_to_tell(runs):
     nothing: Any = None
-    for fit in (a_fit(0.5, 0.35), a_fit(0.5, 0.2, total=np.inf), a_fit(0.5, 0.2, names=())):
+    for fit in (a_fit(0.5, 0.46), a_fit(0.5, 0.2, total=np.inf), a_fit(0.5, 0.2, names=())):
         assert relinearised(nothing, fit, np.arange(1), 0.005) is fit
     assert runs == []
 

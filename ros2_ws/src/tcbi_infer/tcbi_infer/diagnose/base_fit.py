@@ -65,9 +65,7 @@ def fit_base(
     progress("fitting the base model", 0.12)
     again = Fitter(problem, model, joint_scatter(problem, first, sets, settings.coarse), sets, settings.coarse)
     fit = again.run(first.unit[None])
-    if settings.escape:
-        fit = again.escape(fit, len(model.parameters))
-    return problem, relinearised(problem, fit, sets, settings.coarse)
+    return problem, again.escape(fit, len(model.parameters)) if settings.escape else fit
 
 
 def better_base(

@@ -10,8 +10,7 @@ from tcbi_sim.rigs import load_rig
 
 SCATTER = 0.03  # standard deviation of one servo's gain about its siblings', relative
 STEP = 2.0  # standard deviations, by which every gain is changed
-# of a base parameter's range: slopes taken so far off are of another motion; a fit that moved on so little stays
-FAR, NEAR = 0.2, 0.05
+NEAR = 0.05  # of a base parameter's range: slopes taken so near are as good as new ones
 ROUNDS = 3  # of fits with slopes anew
 
 
@@ -46,13 +45,12 @@ def relinearised(problem: Problem, fit: Fit, sets: np.ndarray, timestep: float) 
     A base model without damping carries half the weight with soft servos; how a joint's gain changes its motion is not
     how it changes that of a fit with damping, which those slopes held back from the truth.
     """
-    most = FAR
     for _ in range(ROUNDS):
         shared = min(len(fit.scatter.at), len(fit.unit))
         moved = np.abs(fit.unit[:shared] - fit.scatter.at[:shared])
-        if not (fit.scatter.names and fit.total < np.inf and moved.max() > most):
+        if not (fit.scatter.names and fit.total < np.inf and moved.max() > NEAR):
             break
-        most, scatter = NEAR, joint_scatter(problem, fit, sets, timestep)
+        scatter = joint_scatter(problem, fit, sets, timestep)
         fit = Fitter(problem, fit.model, scatter, sets, timestep).run(fit.unit[None])
     return fit
 

@@ -76,11 +76,9 @@ class Search:
         u = min(fits, key=lambda u: fits[u][0].total)
         self.progress(f"fitting {self.names[u]} elsewhere", 0.75)
         rough, fine = fits[u]
-        other = self._fitter(fine.model, rough.scatter).escape(rough, len(self.base.unit))
-        if other is rough:
-            return {}
-        found = self._finished(other)
-        return {u: found} if found[1].total < fine.total else {}
+        other = self._escaped(rough)
+        found = fine if other is rough else refined(self.problem, other, self.sets, self.settings)
+        return {u: (other, found)} if found.total < fine.total else {}
 
     def hidden(self, fits: Collection[int]) -> dict[int, np.ndarray]:
         """Uses of other effects that start well far from the base fit, where what was fitted leaves too much.
@@ -156,21 +154,23 @@ class Search:
         for i, u in enumerate(uses):
             self.progress(f"looking where to fit {self.names[u]}", begin + (end - begin) / 2 * i / len(uses))
             starts[u] = uses[u] if isinstance(uses, Mapping) else self._starts(u)
-        fitted: dict[int, tuple[Fitter, Fit]] = {}
+        fitted: dict[int, Fit] = {}
         promising = self._promising(starts, others or {})
         for i, u in enumerate(promising):
             self.progress(f"fitting {self.names[u]}", (begin + end + (end - begin) * i / len(promising)) / 2)
-            fitter = self._fitter(self.screen.directions.models[u])
-            fitted[u] = fitter, fitter.run(starts[u])
+            fitted[u] = self._fitter(self.screen.directions.models[u]).run(starts[u])
         if self.settings.escape and fitted:
-            u = min(fitted, key=lambda u: fitted[u][1].total)
-            fitter, rough = fitted[u]
-            if rough.total <= least_loss:
-                fitted[u] = fitter, fitter.escape(rough, len(self.base.unit))
-        gains = {u: self.base_loss - rough.total for u, (_, rough) in fitted.items()}
+            u = min(fitted, key=lambda u: fitted[u].total)
+            if fitted[u].total <= least_loss:
+                fitted[u] = self._escaped(fitted[u])
+        gains = {u: self.base_loss - rough.total for u, rough in fitted.items()}
         best = max([self.base_loss - least_loss, *gains.values()])
         least = min(HOPELESS * best, best)
-        return {u: self._finished(rough) for u, (_, rough) in fitted.items() if gains[u] >= least}
+        return {
+            u: (rough, refined(self.problem, rough, self.sets, self.settings))
+            for u, rough in fitted.items()
+            if gains[u] >= least
+        }
 
     def _promising(self, starts: Mapping[int, np.ndarray], others: Fits) -> list[int]:
         """Uses whose (n, P) starts explain enough of a few sets to be fitted to all."""
@@ -192,10 +192,12 @@ class Search:
         few = self._fitter(model, scatter).on_few_sets()
         return few.start_losses(few.predict(units), nuisance)
 
-    def _finished(self, rough: Fit) -> tuple[Fit, Fit]:
-        """A coarse fit with the scatter's slopes of where it ends, and the same with fine steps."""
-        rough = relinearised(self.problem, rough, self.sets, self.settings.coarse)
-        return rough, refined(self.problem, rough, self.sets, self.settings)
+    def _escaped(self, rough: Fit) -> Fit:
+        """The best valley around a coarse fit; far from the base model's, the scatter needs slopes of its own there."""
+        steps = self.settings.coarse
+        here = relinearised(self.problem, rough, self.sets, steps)
+        there = self._fitter(rough.model, here.scatter).escape(here, len(self.base.unit))
+        return here if there is here else relinearised(self.problem, there, self.sets, steps)
 
     def alike(self, uses: Sequence[int]) -> dict[str, tuple[str, ...]]:
         """By each use's name, the others that change the signals as it does."""
