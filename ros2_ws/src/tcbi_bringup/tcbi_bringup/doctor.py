@@ -155,9 +155,9 @@ def clock_check(now: float) -> Check:
 
 
 def port_checks() -> Iterator[Check]:
-    """The serial ports that are present: permitted, free.
+    """The serial ports that are present: permitted, free. None is a fault, since it may belong to another device.
 
-    Each is opened and closed again; nothing is sent, since a port may belong to another device.
+    Each is opened and closed again; nothing is sent.
     """
     from serial.tools.list_ports import comports
 
@@ -166,27 +166,33 @@ def port_checks() -> Iterator[Check]:
         remedy = "only a real robot needs one: switch it on, plug it in or pair it"
         yield Check("ports", OK, f"no serial port present ({remedy})")
     for name in ports:
-        yield port_check(name)
+        yield port_check(name, wanted=False)
 
 
-def port_check(name: str) -> Check:
-    """One serial port."""
+def port_check(name: str, wanted: bool = True) -> Check:
+    """One serial port.
+
+    Args:
+      name: its path.
+      wanted: it was named as the robot's; another may be in use, and nothing of it is a fault.
+    """
     import serial
 
-    label = f"port {name}"
+    label, bad = f"port {name}", FAULT if wanted else WARNING
     if not Path(name).exists():
-        return Check(
-            label, FAULT, "does not exist", "switch the robot on and pair it; ./tcbi doctor lists what is there"
-        )
+        remedy = "switch the robot on and pair it; ./tcbi doctor lists what is there"
+        return Check(label, bad, "does not exist", remedy)
     if not os.access(name, os.R_OK | os.W_OK):
-        return Check(label, FAULT, "no permission", "sudo usermod -a -G dialout $USER, then log in again")
+        return Check(label, bad, "no permission", "sudo usermod -a -G dialout $USER, then log in again")
     try:
         serial.Serial(name, exclusive=True, timeout=0).close()
     except serial.SerialException as e:
         if "lock" in str(e) or "busy" in str(e).lower():
+            if not wanted:
+                return Check(label, OK, "in use")
             return Check(label, FAULT, "busy", f"another program holds it; find it with: fuser {name}")
         remedy = "give the robot's port; if it is that, its device has gone: unplug it and plug it in again"
-        return Check(label, FAULT, f"is no serial port ({e})", remedy)
+        return Check(label, bad, f"is no serial port ({e})", remedy)
     return Check(label, OK, "there, permitted and free")
 
 

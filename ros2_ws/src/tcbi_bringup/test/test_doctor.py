@@ -48,6 +48,27 @@ def test_a_port_is_well_when_free_and_a_fault_when_held_by_another():
         os.close(port)
 
 
+def test_a_port_that_was_not_asked_for_is_no_fault_when_held_or_forbidden(monkeypatch):
+    import serial
+    from serial.tools import list_ports
+    from serial.tools.list_ports_common import ListPortInfo
+
+    side, port = pty.openpty()
+    name = os.ttyname(port)
+    monkeypatch.setattr(list_ports, "comports", lambda: [ListPortInfo(name)])
+    try:
+        with serial.Serial(name, exclusive=True):  # as by the driver of a running graph
+            (check,) = doctor.port_checks()
+        assert (check.status, check.found) == (doctor.OK, "in use")
+        monkeypatch.setattr(doctor.os, "access", lambda *_: False)
+        (check,) = doctor.port_checks()
+        assert (check.status, check.found) == (doctor.WARNING, "no permission") and "dialout" in check.remedy
+        assert doctor.port_check(name).status == doctor.FAULT
+    finally:
+        os.close(side)
+        os.close(port)
+
+
 def test_a_file_is_no_port(tmp_path):
     file = tmp_path / "file"
     file.write_text("x")
