@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from tcbi_contract import names
+from tcbi_infer.bags.clock import stretches
 from tcbi_infer.bags.files import mcap_files
 from tcbi_infer.bags.scan import Scan, no_message
 from tcbi_infer.bags.schemas import MESSAGES, stamp_of
-from tcbi_infer.bags.streams import JUMP_S, longest_stretch, prefix, relative
+from tcbi_infer.bags.streams import longest_stretch, prefix, relative
 from tcbi_infer.errors import BagError
 from tcbi_sim.errors import UnknownNameError
 
@@ -99,20 +100,11 @@ def schedule(bag: Path, topics: tuple[str, ...] = ()) -> Schedule:
 def _on_one_clock(cues: list[Cue], notes: list[str]) -> list[Cue]:
     """The longest stretch of a recording, in the order of its file, in which no clock was set back.
 
-    The topic with the most messages says where that is. Another message goes with the nearer in time of the two of
-    that topic which it stands between; one that is far from the whole stretch overtook others as the clock was set.
+    The topic with the most messages says where that is.
     """
     topic = Counter(cue.topic for cue in cues).most_common(1)[0][0]
-    places = np.flatnonzero([cue.topic == topic for cue in cues])
+    beat = np.flatnonzero([cue.topic == topic for cue in cues])
     stamp = np.array([cue.time for cue in cues], np.int64)
-    beat = stamp[places]
-    kept = longest_stretch(topic, beat, notes)
-    if len(kept) == len(beat):
-        return cues
-    following = np.searchsorted(places, np.arange(len(cues)))
-    before, after = np.maximum(following - 1, 0), np.minimum(following, len(beat) - 1)
-    nearest = np.where(np.abs(stamp - beat[before]) < np.abs(stamp - beat[after]), before, after)
-    margin = round(JUMP_S * 1e9)
-    near = (stamp >= beat[kept].min() - margin) & (stamp <= beat[kept].max() + margin)
-    inside = near & (nearest >= kept[0]) & (nearest <= kept[-1])
-    return [cue for cue, is_inside in zip(cues, inside, strict=True) if is_inside]
+    kept = longest_stretch(topic, stamp[beat], notes)
+    number = stretches(stamp, beat)
+    return [cue for cue, mine in zip(cues, number, strict=True) if mine == number[beat[kept[0]]]]

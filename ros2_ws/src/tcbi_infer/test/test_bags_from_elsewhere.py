@@ -208,13 +208,6 @@ def test_messages_that_overtook_each_other_are_sorted(tmp_path):
     only_note(back, "1 sample arrived out of order")
 
 
-def test_where_the_clock_was_set_back_the_longest_stretch_is_used(tmp_path):
-    stamps = [k * 0.02 for k in range(150)] + [1.0 + k * 0.02 for k in range(60)]
-    back = read_measurement(written(tmp_path, joint_rows(stamps)))
-    assert len(back.time) == 150 and np.all(np.diff(back.time) > 0)
-    assert "150 of 210 samples" in only_note(back, "time goes back once, by up to 1.98 s")
-
-
 def test_repeated_stamps_count_once(tmp_path):
     stamps = [(k // 2) * 0.02 for k in range(100)]
     back = read_measurement(written(tmp_path, joint_rows(stamps)))

@@ -23,7 +23,7 @@ from tcbi_contract.wording import counted
 from tcbi_infer.bags.commands import read_commands
 from tcbi_infer.bags.files import find_bags
 from tcbi_infer.bags.readings import read_readings
-from tcbi_infer.bags.rollouts import Span, lacking, spans
+from tcbi_infer.bags.rollouts import Span, lacking, rollouts
 from tcbi_infer.bags.streams import Recording, Stream, load, stream
 from tcbi_infer.bags.tracker import TURNED, heading, turned, wanted_heading
 from tcbi_infer.errors import BagError, EmptyRolloutError
@@ -97,7 +97,7 @@ def read_measurements(
 def read_bag(bag: Path, rig: str | None = None, namespace: str | None = None) -> list[Measurement]:
     """All rollouts of one bag."""
     recording = load(bag, namespace)
-    return [_measurement(recording, span, rig) for span in spans(recording)]
+    return [_measurement(part, span, rig) for part, span in rollouts(recording)]
 
 
 def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Measurement:

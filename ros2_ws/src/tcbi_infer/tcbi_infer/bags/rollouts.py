@@ -1,9 +1,12 @@
 """Which rollouts a recording holds: the stretches between BEGIN and END or ABORT of `rollout/event`."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from tcbi_contract import names
+from tcbi_infer.bags.clock import how_often, set_back, stretches
 from tcbi_infer.bags.encoding import ABORT, BEGIN
 from tcbi_infer.bags.files import bag_name
 from tcbi_infer.bags.note import Note, read_note
@@ -13,6 +16,7 @@ from tcbi_sim.episode import block_of
 from tcbi_sim.measurement import Block, Scenario
 
 UNKNOWN_TASK = "unknown"
+NO_END = "no END event: the rollout is used as far as it was recorded"
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,62 @@ class Span:
         )
 
 
+def rollouts(recording: Recording) -> list[tuple[Recording, Span]]:
+    """The rollouts of a recording, each with the part that it lies in.
+
+    Where the clock was set back, a rollout is used up to there: of what follows nobody knows how it started. Without
+    any event the longest stretch counts as one rollout.
+
+    Raises:
+      BagError: there is nothing to take the time from.
+    """
+    beats = recording.records.get(names.JOINT_STATES, [])
+    stamp = np.array([record.stamp for record in beats], np.int64)
+    if not len(set_back(stamp)):
+        return [(recording, span) for span in spans(recording)]
+    parts = _parts(recording)
+    begun = [part for part in parts if any(record.message.kind == BEGIN for record in _events(part))]
+    ended = [part for part in parts if _events(part)]
+    found: dict[str, tuple[Recording, Span]] = {}
+    for part in begun or ended:
+        for span in spans(part):
+            jumped = part is not parts[-1]
+            found.setdefault(span.rollout_id, (part, _until(span, how_often(stamp)) if jumped else span))
+    if found:
+        return list(found.values())
+    part = max(parts, key=lambda part: len(part.records[names.JOINT_STATES]))
+    kept = f"only the longest stretch is used, {len(part.records[names.JOINT_STATES])} of {len(beats)} samples"
+    return [(replace(part, notes=[*part.notes, f"{how_often(stamp)}; {kept}"]), span) for span in spans(part)]
+
+
+def _events(recording: Recording) -> list[Record]:
+    return recording.records.get(names.ROLLOUT_EVENT, [])
+
+
+def _parts(recording: Recording) -> list[Recording]:
+    """The stretches of a recording between which its clock was set back."""
+    records = sorted(
+        ((record.place, topic, record) for topic, found in recording.records.items() for record in found),
+        key=lambda one: one[0],
+    )
+    beat = np.array([i for i, (_, topic, _) in enumerate(records) if topic == names.JOINT_STATES])
+    number = stretches(np.array([record.stamp for *_, record in records], np.int64), beat)
+    parts = [replace(recording, records={}) for _ in range(int(number.max()) + 1)]
+    for mine, (_, topic, record) in zip(number, records, strict=True):
+        if mine >= 0:
+            parts[mine].records.setdefault(topic, []).append(record)
+    return parts
+
+
+def _until(span: Span, jump: str) -> Span:
+    """A span, which has no end where the clock was set back within."""
+    if span.end is not None:
+        return span
+    return replace(
+        span, notes=tuple(f"{jump}; the rollout is used up to there" if n == NO_END else n for n in span.notes)
+    )
+
+
 def spans(recording: Recording) -> list[Span]:
     """The rollouts of a recording; one that has no events is one rollout, and says so.
 
@@ -85,7 +145,7 @@ def _span(begin: Record, end: Record | None) -> Span:
         policy_id = f"{policy_id} then {end.message.policy_id}"
         notes.append(f"the policy was changed meanwhile ({policy_id}): the commands can be replayed, the policy cannot")
     if end is None:
-        notes.append("no END event: the rollout is used as far as it was recorded")
+        notes.append(NO_END)
     elif end.message.kind == ABORT:
         reason = read_note(end.message.note).text
         notes.append(f"the rollout was aborted{f' ({reason})' if reason else ''}; it is used as far as it went")

@@ -14,11 +14,10 @@ import numpy as np
 from tcbi_contract import names
 from tcbi_contract.wording import counted
 from tcbi_infer.bags import schemas
+from tcbi_infer.bags.clock import how_often, set_back
 from tcbi_infer.bags.files import mcap_files
 from tcbi_infer.bags.scan import CDR, Channel, Message, Scan, no_message
 from tcbi_infer.errors import BagError
-
-JUMP_S = 0.5  # s back in time: less is messages overtaking each other, more is a clock that was set
 
 
 @dataclass(frozen=True)
@@ -28,6 +27,7 @@ class Record:
     stamp: int  # ns, of its header; its log time where the header is empty
     log_time: int  # ns
     message: Any
+    place: int = 0  # its number among all messages of the bag
 
 
 @dataclass
@@ -51,7 +51,7 @@ def load(bag: Path, namespace: str | None = None) -> Recording:
     Raises:
       BagError: no bag, no MCAP, nothing in it, several robots, or a type that cannot be decoded.
     """
-    kept: dict[str, list[Message]] = {}
+    kept: dict[str, list[tuple[int, Message]]] = {}
     types: dict[str, str] = {}
     recording = Recording(bag)
     scans = [Scan(file) for file in mcap_files(bag)]
@@ -61,7 +61,7 @@ def load(bag: Path, namespace: str | None = None) -> Recording:
             topic = message.channel.topic
             types[topic] = message.channel.message_type
             if relative(topic, message.channel.message_type) is not None:
-                kept.setdefault(topic, []).append(message)
+                kept.setdefault(topic, []).append((recording.count, message))
         recording.notes += _cut(scan)
     recording.topics = tuple(sorted(types))
     if not recording.count:
@@ -91,10 +91,10 @@ def prefix(topic: str, name: str) -> str:
     return topic.strip("/").removesuffix(name).strip("/")
 
 
-def _namespace(bag: Path, kept: dict[str, list[Message]], wanted: str | None) -> str:
+def _namespace(bag: Path, kept: dict[str, list[tuple[int, Message]]], wanted: str | None) -> str:
     name = names.JOINT_STATES
     found = sorted(
-        {prefix(topic, name) for topic, m in kept.items() if relative(topic, m[0].channel.message_type) == name}
+        {prefix(topic, name) for topic, m in kept.items() if relative(topic, m[0][1].channel.message_type) == name}
     )
     if wanted is not None:
         if wanted.strip("/") not in found:
@@ -119,9 +119,9 @@ def _cut(scan: Scan) -> list[str]:
     ]
 
 
-def _records(name: str, messages: list[Message], notes: list[str]) -> list[Record]:
+def _records(name: str, messages: list[tuple[int, Message]], notes: list[str]) -> list[Record]:
     records, unstamped, broken = [], 0, 0
-    for message in messages:
+    for place, message in messages:
         try:
             decoded = _decoded(message.channel, message.data)
         except BagError:
@@ -133,7 +133,7 @@ def _records(name: str, messages: list[Message], notes: list[str]) -> list[Recor
         if stamp <= 0:
             unstamped += 1
             stamp = message.log_time
-        records.append(Record(stamp, message.log_time, decoded))
+        records.append(Record(stamp, message.log_time, decoded, place))
     if broken:
         notes.append(f"{name}: {broken} of {len(messages)} messages do not match their own definition and are left out")
     if unstamped:
@@ -143,7 +143,7 @@ def _records(name: str, messages: list[Message], notes: list[str]) -> list[Recor
     return records
 
 
-def _optional(name: str, messages: list[Message]) -> list[Record]:
+def _optional(name: str, messages: list[tuple[int, Message]]) -> list[Record]:
     """What a recording is as good without: nothing is said of messages that cannot be read."""
     try:
         return _records(name, messages, [])
@@ -215,13 +215,10 @@ def ordered(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
 def longest_stretch(name: str, stamp: np.ndarray, notes: list[str]) -> np.ndarray:
     """Indices of the longest stretch of stamps (ns) in which no clock was set back; one that was is said in `notes`."""
     order = np.arange(len(stamp))
-    back = np.flatnonzero(np.diff(stamp) < -JUMP_S * 1e9)
+    back = set_back(stamp)
     if back.size:
         order = max(np.split(order, back + 1), key=len)
-        worst = -np.diff(stamp).min() * 1e-9
-        often = "once" if back.size == 1 else f"{back.size} times"
         notes.append(
-            f"{name}: time goes back {often}, by up to {worst:.3g} s (a clock was set); only the longest "
-            f"stretch is used, {len(order)} of {len(stamp)} samples"
+            f"{name}: {how_often(stamp)}; only the longest stretch is used, {len(order)} of {len(stamp)} samples"
         )
     return order
