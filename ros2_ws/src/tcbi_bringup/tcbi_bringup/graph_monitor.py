@@ -1,9 +1,11 @@
-"""Looks at a running graph from outside: its nodes, and the rate and age of each topic; needs ROS.
+"""Looks at a running graph from outside: its nodes, the rate and age of each topic, what is not well; needs ROS.
 
 with GraphMonitor(domain_id=7) as monitor:
     monitor.wait_for_nodes(["sim_node", "policy_node"], timeout_s=10)
     monitor.watch({"joint_states": "sensor_msgs/msg/JointState"})
     monitor.rates()["joint_states"].rate_hz
+    monitor.watch_health()
+    [complaint.message for complaint in monitor.complaints()]
 """
 
 import collections
@@ -15,14 +17,21 @@ from dataclasses import dataclass
 from functools import partial
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from tcbi_bringup.errors import LaunchError
+from tcbi_contract.names import DIAGNOSTICS
 
 WINDOW = 200  # arrivals that a rate is taken over
 WINDOW_S = 5.0
 POLL_S = 0.05
+LOOK_ON_QOS = QoSProfile(
+    depth=50, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)  # accepts every publisher, and never slows one down
+LEVELS = {1: "warning", 2: "error", 3: "stale"}  # of diagnostic_msgs/DiagnosticStatus; 0 is well
+OLD_S = 3.0  # diagnostics come once a second
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,15 @@ class TopicRate:
     publishers: int
     rate_hz: float
     age_s: float | None
+
+
+@dataclass(frozen=True)
+class Complaint:
+    """What one source of the diagnostics says that is not well; its level is a word of LEVELS."""
+
+    source: str
+    level: str
+    message: str
 
 
 class GraphMonitor:
@@ -52,6 +70,7 @@ class GraphMonitor:
         self._executor.add_node(self._node)
         self._lock = threading.Lock()
         self._arrivals: dict[str, collections.deque[float]] = {}
+        self._complaints: dict[str, tuple[Complaint, float]] = {}  # by source, with the time heard (monotonic s)
         self._thread = threading.Thread(target=self._spin, name="graph-monitor", daemon=True)
 
     def __enter__(self) -> "GraphMonitor":
@@ -96,15 +115,16 @@ class GraphMonitor:
 
     def watch(self, topics: Mapping[str, str]) -> None:
         """Start counting the messages of topics, given with their type, e.g. "sensor_msgs/msg/Imu"."""
-        qos = QoSProfile(
-            depth=50, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
-        )  # accepts every publisher, and never slows one down
         for topic, type_name in topics.items():
             if topic not in self._arrivals:
                 arrivals: collections.deque[float] = collections.deque(maxlen=WINDOW)
                 self._arrivals[topic] = arrivals
                 kind = message_class(type_name)
-                self._node.create_subscription(kind, topic, partial(self._arrived, arrivals), qos, raw=True)
+                self._node.create_subscription(kind, topic, partial(self._arrived, arrivals), LOOK_ON_QOS, raw=True)
+
+    def watch_health(self) -> None:
+        """Start listening to the diagnostics."""
+        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._diagnosed, LOOK_ON_QOS)
 
     def rates(self) -> dict[str, TopicRate]:
         """What `watch` has counted, by topic."""
@@ -115,6 +135,21 @@ class GraphMonitor:
             topic: TopicRate(topic, self.publishers(topic), rate(times, now), now - times[-1] if times else None)
             for topic, times in arrivals.items()
         }
+
+    def complaints(self) -> list[Complaint]:
+        """What `watch_health` has heard in the last seconds that is not well, by source."""
+        heard_since = time.monotonic() - OLD_S
+        with self._lock:
+            return [complaint for _, (complaint, heard) in sorted(self._complaints.items()) if heard > heard_since]
+
+    def _diagnosed(self, message: DiagnosticArray) -> None:
+        with self._lock:
+            for status in message.status:
+                level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
+                self._complaints.pop(status.name, None)
+                if level in LEVELS:
+                    complaint = Complaint(status.name, LEVELS[level], status.message)
+                    self._complaints[status.name] = complaint, time.monotonic()
 
     def _arrived(self, arrivals: collections.deque[float], _: bytes) -> None:
         with self._lock:

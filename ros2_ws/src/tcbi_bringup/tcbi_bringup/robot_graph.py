@@ -66,6 +66,11 @@ class GraphOptions:
         """Where rollouts are recorded and looked for; each namespace has a recorder, hence a folder of its own."""
         return self.recordings or self.store / "rollouts" / self.namespace
 
+    @property
+    def simulated_time(self) -> bool:
+        """Whether the nodes take their time from `/clock`."""
+        return self.lockstep
+
     def check(self) -> None:
         """Refuse what does not go together, and a task, a model or a policy that no node could load.
 
@@ -176,7 +181,7 @@ def emulated_port(folder: Path) -> Path:
 
 def companion_processes(options: GraphOptions) -> list[NodeProcess]:
     """All the rest: description, policy, recorder, inference, retraining."""
-    clock = {"use_sim_time": True} if options.lockstep else {}
+    clock = {"use_sim_time": True} if options.simulated_time else {}
     store = {"store": str(options.store)}
 
     def node(package: str, executable: str, parameters: Mapping[str, object]) -> NodeProcess:

@@ -115,6 +115,7 @@ def watch(graph, monitor, options, title: str, asked: Callable[[], bool]) -> str
     from tcbi_bringup.live_view import show
 
     monitor.watch({expected.topic: expected.type_name for expected in EXPECTATIONS})
+    monitor.watch_health()
     lost: list[str] = []
 
     def goes_on() -> bool:
@@ -123,7 +124,10 @@ def watch(graph, monitor, options, title: str, asked: Callable[[], bool]) -> str
                 lost.append(graph.explain(status))
         return not asked() and not lost
 
-    show(f"{options.robot}: {title}", lambda: (graph.status(), monitor.rates()), goes_on)
+    def look() -> tuple:
+        return graph.status(), monitor.rates(), monitor.complaints()
+
+    show(f"{options.robot}: {title}", look, goes_on, options.simulated_time)
     for status in graph.status():
         if status.state == "given up" and not status.essential:
             console.note(graph.explain(status))
