@@ -56,15 +56,13 @@ def test_what_should_always_flow_and_does_not_is_a_fault():
 
 @pytest.mark.graph
 def test_what_is_not_well_is_heard_until_it_is_well_again(domain, peer):
-    def say(level: bytes) -> None:
-        status = DiagnosticStatus(name="policy_node", level=level, message="stopped: no sensors")
-        publisher.publish(DiagnosticArray(status=[status, DiagnosticStatus(name="sim_node", message="runs")]))
-
+    status = DiagnosticStatus(name="policy_node", level=DiagnosticStatus.ERROR, message="stopped: no sensors")
+    well = DiagnosticStatus(name="sim_node", message="runs")
     with GraphMonitor(domain) as monitor:
         monitor.watch_health()
         publisher = peer.publisher(DIAGNOSTICS, DiagnosticArray, STREAM_QOS)
-        say(DiagnosticStatus.ERROR)
-        peer.wait_until(lambda: monitor.complaints(), "a complaint")
+        peer.node.create_timer(0.1, lambda: publisher.publish(DiagnosticArray(status=[status, well])))
+        peer.wait_until(monitor.complaints, "a complaint")
         assert monitor.complaints() == [Complaint("policy_node", "error", "stopped: no sensors")]
-        say(DiagnosticStatus.OK)
+        status.level = DiagnosticStatus.OK
         peer.wait_until(lambda: not monitor.complaints(), "the end of it")
