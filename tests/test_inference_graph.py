@@ -1,5 +1,6 @@
 """The inference node in a graph: from finished bags to posterior, error, training, new effects and a diagnosis."""
 
+import dataclasses
 import json
 import os
 import time
@@ -26,7 +27,7 @@ RIG = "servo_bench"
 WORK_S = 90.0  # for a worker process on a busy machine
 
 
-def write_rollouts(folder: Path, first: int, count: int) -> list[str]:
+def write_rollouts(folder: Path, first: int, count: int, source: str = "sim") -> list[str]:
     """Bags of a servo bench whose gain is half the nominal one."""
     model, times = base_model(RIG), np.arange(0.0, 2.0, 0.4)
     truth = np.array([[p.nominal for p in model.parameters]]) * [0.5, 1.0, 1.0]
@@ -36,6 +37,7 @@ def write_rollouts(folder: Path, first: int, count: int) -> list[str]:
         commands = Commands(times, rng.uniform(-1, 1, (len(times), 1)))
         rollouts = simulate(model, truth, [Scenario("steps", 2.0, seed=i)], commands=[commands], timestep=0.005)
         measured = rollouts.measurement(0, 0, f"steps_{i}")  # by no policy that acts on what it sees
+        measured = dataclasses.replace(measured, source=source)
         write_measurement(folder, measured)
         ids.append(measured.rollout_id)
     return ids
@@ -133,6 +135,18 @@ def test_an_error_that_fell_is_reason_enough_for_a_training(start_graph, peer, n
     (why,) = [line for line in graph.tail("inference_node", 1000).splitlines() if "wants a training" in line]
     assert "the error on held-out rollouts fell by" in why and "moved" not in why
     server.destroy()
+
+
+def test_the_rollouts_of_a_simulation_are_no_rollouts_of_the_robot(start_graph, peer, node, tmp_path):
+    write_rollouts(tmp_path / "bags", 0, 6)
+    own = write_rollouts(tmp_path / "bags", 6, 4, source="driver")
+    every = {**node.parameters, "holdout_every": 0, "retrain": False}
+    graph = start_graph(NodeProcess("tcbi_infer", "inference_node", parameters=every))
+    posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(posteriors), "the posterior", WORK_S)
+    assert set(posteriors[0].source_rollouts) == set(own)
+    (said,) = [line for line in graph.tail("inference_node", 1000).splitlines() if "whose source" in line]
+    assert "6 rollouts whose source is sim" in said and "newest one is driver" in said
 
 
 def test_a_training_whose_server_dies_is_asked_for_again(start_graph, peer, node, tmp_path):

@@ -25,6 +25,7 @@ from tcbi_contract.errors import TcbiError
 from tcbi_contract.goals import SentGoal
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
+from tcbi_contract.wording import counted
 from tcbi_infer.diagnose import adopt
 from tcbi_infer.inference_worker import DIAGNOSE, INFER, Job
 from tcbi_infer.messages import diagnosis_message, model_error_message, number, posterior_message
@@ -87,7 +88,7 @@ class InferenceNode(Node):
         bags = Path(self.values.bags).expanduser() if self.values.bags else self._store.root / "rollouts"
         self._folder = RolloutFolder(bags, self.values.holdout_every)
         self._worker: Worker | None = None
-        self._inferred = 0  # rollouts fitted in the last inference
+        self._inferred: set[Path] = set()  # bags fitted in an inference
         self._wanted = False  # an inference is due whatever the number of rollouts
         self._trained_on = self._store.load(self._model).version
         self._news: dict[str, Any] = {}
@@ -130,28 +131,38 @@ class InferenceNode(Node):
             self._state = f"rollout {event.rollout_id} ended"
 
     def _on_poll(self) -> None:
-        self._folder.look()
+        self._look()
         if self._worker is not None:
             for event in self._worker.events():
                 self._on_news(event)
         if self._worker is None and self._due():
             self._start()
 
+    def _look(self) -> None:
+        """Take note of new bags; a change of their source is said, since it leaves the others out."""
+        if self._folder.look() and (others := self._folder.left_out):
+            sources = ", ".join(sorted({source or "unknown" for source in others.values()}))
+            self._warn(
+                f"left out: {counted(len(others), 'rollout')} whose source is {sources}; that of the newest one is "
+                f"{self._folder.source or 'unknown'}, and rollouts of several sources are not taken together"
+            )
+
     def _due(self) -> bool:
-        fitted = len(self._folder.fitted)
-        if self._diagnosing or fitted < self.values.least_rollouts:
+        fitted = set(self._folder.fitted)
+        if self._diagnosing or len(fitted) < self.values.least_rollouts:
             return False
-        return self._wanted or fitted - self._inferred >= self.values.new_rollouts or self._inferred == 0
+        return self._wanted or len(fitted - self._inferred) >= self.values.new_rollouts or not fitted & self._inferred
 
     def _start(self) -> None:
-        self._inferred, self._wanted = len(self._folder.fitted), False
-        v = self.values
+        v, fitted = self.values, self._folder.fitted
+        self._inferred.update(fitted)
+        self._wanted = False
         job = Job(
-            INFER, str(self._store.root), self._model, _texts(self._folder.fitted), _texts(self._folder.held_out),
+            INFER, str(self._store.root), self._model, _texts(fitted), _texts(self._folder.held_out),
             self._trained_on, v.method, v.particles, v.generations, v.seed, v.threads,
         )  # fmt: skip
         self._worker, self._fault, self._news = Worker(job), "", {}
-        self._state = f"inferring from {self._inferred} rollouts"
+        self._state = f"inferring from {counted(len(fitted), 'rollout')}"
         self.get_logger().info(self._state)
 
     def _on_news(self, event: dict[str, Any]) -> None:

@@ -52,6 +52,23 @@ def test_a_folder_without_bags_is_waited_for(tmp_path: Path) -> None:
     assert RolloutFolder(tmp_path / "empty", 5).look() == 0
 
 
+def test_rollouts_of_another_source_than_the_newest_ones_are_left_out(bags: Path) -> None:
+    folder, measured = RolloutFolder(bags, holdout_every=2), bench_rollouts(count=2, duration=2.0)[1]
+    folder.look()
+    simulated, source = folder.bags, folder.source
+    assert len(simulated) == 6 and not folder.left_out
+    for i, measurement in enumerate(measured):
+        own = dataclasses.replace(measurement, rollout_id=f"robot_{i}", source="driver")
+        os.utime(write_measurement(bags, own), (2000 + i, 2000 + i))
+    (bags / "torn.mcap").write_bytes(b"no bag at all")
+    aged(bags / "torn.mcap")
+    folder.look()
+    assert [b.name for b in folder.bags] == ["robot_0", "robot_1", "torn.mcap"]
+    assert [b.name for b in folder.held_out] == ["robot_1"]
+    assert folder.source == "driver" and folder.left_out == dict.fromkeys(simulated, source)
+    assert RolloutFolder(bags, 0).look() == 9, "however many sources there are, all bags were looked at"
+
+
 def aged(bag: Path, by_s: float = 2 * QUIET_S) -> Path:
     """A bag that nobody has written to for so long."""
     then = time.time() - by_s
