@@ -8,6 +8,7 @@ import pytest
 
 from hexapod_driver import feetech
 from hexapod_driver.errors import StartupError
+from hexapod_driver.status import Status, statuses
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_contract.safety import Mode
 from tests.driver.linked_driver import ZERO, Driver
@@ -40,6 +41,10 @@ class Commander:
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join()
+
+
+def safety_status(driver: Driver) -> Status:
+    return statuses(driver.link, 0, "")[-1]
 
 
 @pytest.mark.parametrize("ports", [1, 2])
@@ -216,6 +221,64 @@ def test_a_servo_that_stops_answering_makes_the_robot_limp_and_nothing_is_made_u
         assert len(driver.joints) == seen
         assert driver.link.robot.health.silent_servos == (7,)
         assert driver.link.safety.needs_reset
+
+
+def test_torque_that_a_dead_servo_bus_keeps_is_cut_by_the_board_and_comes_back_after_a_reset(
+    make_bench, make_driver, until
+):
+    """Two ports: the board is all that is left, so it must not be kept alive."""
+    bench = make_bench(2)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver):
+        until(lambda: bool(bench.body.torque.all()), "torque")
+        hears, bench.electronics.bus.receive = bench.electronics.bus.receive, lambda data: b""
+        silent = time.monotonic()
+        until(lambda: not bench.body.torque.any(), "the power cut")
+        assert bench.body.limp_s - silent < 3.0, "0.4 s without a reading, 0.5 s to confirm, 0.4 s of the watchdog"
+        assert "torque not confirmed to be off by any servo" in safety_status(driver).message
+        bench.electronics.bus.receive = hears
+        seen = len(driver.joints)
+        until(lambda: len(driver.joints) > seen, "readings, once the board is found again")
+        assert not bench.body.torque.any()
+        until(lambda: "torque_unconfirmed" not in safety_status(driver).values, "the servos' word")
+        driver.reset()
+        until(lambda: bool(driver.answers), "the reset's answer")
+        assert driver.answers[0][0], driver.answers
+        until(lambda: bool(bench.body.torque.all()), "torque again")
+
+
+def test_one_mute_servo_has_the_power_of_all_cut(make_bench, make_driver, until):
+    bench = make_bench(2)
+    driver = make_driver(bench.paths).start()
+    until(lambda: bool(driver.joints), "a reading")
+    with Commander(driver):
+        until(lambda: bool(bench.body.torque.all()), "torque")
+        bench.electronics.bus.absent.add(7)
+        until(lambda: not bench.body.torque[np.arange(1, 19) != 7].any(), "torque off but for the one")
+        until(lambda: bool(safety_status(driver).values.get("torque_unconfirmed")), "the warning")
+        until(lambda: not bench.body.torque.any(), "the power cut")
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_a_limp_that_all_servos_confirm_is_not_left_to_the_watchdog(make_bench, make_driver, until, ports: int):
+    """Not at the start, and not later, when servos of the limp robot fall silent."""
+    bench = make_bench(ports)
+    driver = make_driver(bench.paths).start()
+    for limps in (0, 1):
+        until(lambda: len(driver.joints) > 100, "two seconds, in which the servos confirm")
+        for _ in range(100):
+            assert "torque_unconfirmed" not in safety_status(driver).values
+            time.sleep(0.01)
+        if not limps:
+            driver.command()
+            until(lambda: bench.body.armings == 1, "torque")
+            until(lambda: not bench.body.torque.any(), "limp")
+            driver.readings.clear()
+    samples = len(driver.board)
+    bench.electronics.bus.absent.add(7)
+    until(lambda: len(driver.board) > samples + 75, "a second and a half")
+    assert not any(reading.sample.watchdog_tripped for reading in driver.board)
 
 
 def test_a_servo_that_loses_its_torque_makes_all_limp(make_bench, make_driver, until):

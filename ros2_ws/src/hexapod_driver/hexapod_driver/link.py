@@ -7,7 +7,7 @@
     link.close()              # torque off, port closed
 
 A lost link makes the robot limp (by a last word on what is left of it, else by the board's watchdog), and is then
-retried with a back-off from 0.25 to 5 s. Nothing here raises into the node's thread after `start`.
+retried with a back-off from 0.6 to 5 s. Nothing here raises into the node's thread after `start`.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ from hexapod_driver.two_ports import TwoPorts
 from hexapod_driver.wire import Wire
 from tcbi_contract.safety import CommandRefused, Limits, Safety
 
-FIRST_RETRY_S, LAST_RETRY_S = 0.25, 5.0
+FIRST_RETRY_S, LAST_RETRY_S = 0.6, 5.0  # the first lets the board's watchdog act before it is spoken to again
 
 Action = Callable[[Robot], None]
 Refused = Callable[[str], None]

@@ -26,12 +26,18 @@ Reading = JointReading | BoardReading
 
 @dataclass
 class Health:
-    """What diagnostics tell about one connection. Keys of the dictionaries are servo ids."""
+    """What diagnostics tell about one connection. Keys of the dictionaries are servo ids.
+
+    Attributes:
+      torque: as read back since the robot was last told to be limp.
+      unconfirmed: servos of a limp robot that have not said in time that their torque is off.
+    """
 
     voltage: dict[int, float] = field(default_factory=dict)
     temperature: dict[int, int] = field(default_factory=dict)
     errors: dict[int, int] = field(default_factory=dict)
     torque: dict[int, bool] = field(default_factory=dict)
+    unconfirmed: tuple[int, ...] = ()
     incomplete_reads: int = 0
     silent_servos: tuple[int, ...] = ()
     joint_readings: int = 0

@@ -5,6 +5,7 @@ to the sink; `act` does what is due. In this order, so that a thread that was he
 the robot silent. Any failure of the wire leaves as `LinkLost`; the safety state outlives the connection.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from hexapod_driver.feetech import Packet, TimedMove
 from hexapod_driver.posture import PostureGoal, PostureMove
 from hexapod_driver.readings import BoardReading, Health, JointReading, Reading
 from hexapod_driver.sensor_board import FrameError, Kind
+from hexapod_driver.startup import BOOT_S
 from hexapod_driver.timer import Timer
 from hexapod_driver.wire import KEEP_ALIVE_S, BoardFrame, BusReply, Wire
 from tcbi_contract.names import CONTROL_PERIOD_S, JOINTS, SENSOR_RATE_HZ
@@ -26,7 +28,7 @@ READ_PERIOD_S = 1 / SENSOR_RATE_HZ
 HEALTH_PERIOD_S = 1.0
 TORQUE_CHECK_S = 0.5
 STREAM_RETRY_S = 0.2
-STOP_CONFIRM_S = 0.5
+CONFIRM_S = 0.5  # time that the servos of a limp robot have to say that their torque is off
 KNOWN_S = 1.0  # time that a reset has to learn where the joints are
 LAST_WORDS, LAST_WORD_S = 3, 0.01
 HEALTH_BYTES = 8  # position, speed, load, voltage, temperature from address 56
@@ -76,8 +78,10 @@ class Robot:
         self._asked: AskedPosture | None = None
         self._posture: PostureMove | None = None
         self._stops: list[tuple[float, Done]] = []
-        self._stop_count = 0  # so far
-        self._unconfirmed = False  # an emergency stop: then the board's watchdog is left to act
+        self._armed = True  # for all that is known: torque off was not said since the servos may have had torque
+        self._limp_count = 0  # so far
+        self._confirm_by = math.inf  # until when, on the steady clock; infinite while active and once confirmed
+        self._awake_by = now  # until when the servos may be starting, since the board has given their power back
 
     def receive(self) -> None:
         """Wait for bytes, at most 10 ms, and hand on what they say."""
@@ -124,9 +128,8 @@ class Robot:
         now = time.monotonic()
         self._forget_asked("interrupted: emergency stop")
         self._safety.stop()
-        self.health.torque = {}
-        self._stops.append((now + STOP_CONFIRM_S, done))
-        self._stop_count += 1
+        self._stops.append((now + CONFIRM_S, done))
+        self._await_confirmation(now)
         self._limp(now)
 
     def torque_off(self) -> tuple[int, ...]:
@@ -165,11 +168,10 @@ class Robot:
         silence = self._safety.limits.silence_s
         if now - self._last_sample > silence:
             raise LinkLost(f"no sample from the sensor board for {silence} s ({self.wire.bad_frames} damaged frames)")
-        if self._safety.tick(now):
+        self._safety.tick(now)
+        if self._safety.mode is not Mode.ACTIVE and (self._armed or self._limp_timer.due(now)):
             self._limp(now)
-        if self._safety.mode is not Mode.ACTIVE and self._limp_timer.due(now):
-            self._limp(now)
-        self._answer_stops(now)
+        self._look_for_torque(now)
 
     def _request(self, now: float) -> None:
         servos = self._calibration.servos
@@ -179,11 +181,12 @@ class Robot:
             self._ask_torque()
         if self._read_timer.due(now):
             self._ask(feetech.sync_read(servos, feetech.PRESENT_POSITION, 2), self._take_positions)
-        self._unconfirmed &= self._safety.mode is Mode.STOPPED
-        if self._alive_timer.due(now) and not self._unconfirmed:
+        if self.health.unconfirmed:
+            return  # the board's watchdog is left to act
+        if self._alive_timer.due(now):
             self.wire.send_board(Kind.KEEP_ALIVE)
         quiet = not self.health.board_samples or now - self._last_sample > STREAM_RETRY_S
-        if self._stream_timer.due(now) and quiet and not self._unconfirmed:
+        if self._stream_timer.due(now) and quiet:
             self._start_stream()
 
     def _ask(self, packet: bytes, purpose: Callable[[BusReply], None]) -> None:
@@ -201,28 +204,41 @@ class Robot:
         return feetech.sync_read(self._calibration.servos, feetech.TORQUE_ENABLE, 1)
 
     def _ask_torque(self) -> None:
-        expect_on, stop_count = self._safety.mode is Mode.ACTIVE, self._stop_count
-        self._ask(self._torque_question(), lambda reply: self._take_torque(reply, expect_on, stop_count))
+        expect_on, limp_count = self._safety.mode is Mode.ACTIVE, self._limp_count
+        self._ask(self._torque_question(), lambda reply: self._take_torque(reply, expect_on, limp_count))
 
     def _limp(self, now: float) -> None:
-        """Torque off, said again and again while limp, since a sync write is not acknowledged."""
+        """Torque off, said again and again while limp, since a sync write is not acknowledged, and read back."""
+        if self._armed:
+            self._await_confirmation(now)
         self.wire.submit(feetech.torque(self._calibration.servos, False))
-        if self._stops:
+        if self._confirm_by < math.inf:
             self._ask_torque()
         self._limp_timer.soon(now, CONTROL_PERIOD_S)
 
-    def _answer_stops(self, now: float) -> None:
-        if not self._stops:
-            return
-        servos = self._calibration.servos
-        unsure = [s for s in servos if self.health.torque.get(s, True)]
+    def _await_confirmation(self, now: float) -> None:
+        """Every servo has to say anew that its torque is off; a deadline that stands is not put off."""
+        self._armed = False
+        self._limp_count += 1
+        self.health.torque = {}
+        self._confirm_by = min(self._confirm_by, now + CONFIRM_S)
+
+    def _look_for_torque(self, now: float) -> None:
+        """Whether all servos of a limp robot have confirmed that; those that have not are the board's from then on."""
+        unsure = tuple(s for s in self._calibration.servos if self.health.torque.get(s, True))
+        if not unsure:
+            self._confirm_by = math.inf
+        self.health.unconfirmed = unsure if now > max(self._confirm_by, self._awake_by) else ()
+        self._answer_stops(now, unsure)
+
+    def _answer_stops(self, now: float, unsure: Sequence[int]) -> None:
         waiting = []
         for deadline, done in self._stops:
             if not unsure:
-                done(True, f"all {len(servos)} servos confirm that their torque is off")
+                done(True, f"all {len(self._calibration.servos)} servos confirm that their torque is off")
             elif now > deadline:
-                self._unconfirmed = True
-                done(False, f"emergency stop stands, but servos {unsure} did not confirm; cut the power to be sure")
+                text = f"servos {list(unsure)} did not confirm; cut the power to be sure"
+                done(False, f"emergency stop stands, but {text}")
             else:
                 waiting.append((deadline, done))
         self._stops = waiting
@@ -240,13 +256,14 @@ class Robot:
         if sample.time_us == self._last_board_us:
             return  # said twice
         self._last_board_us = sample.time_us
-        self._last_sample = time.monotonic()
+        now = self._last_sample = time.monotonic()
         self.wire.board_clock.observe(sample.time_us, event.arrival_ns)
         if sample.watchdog_tripped:
             if self._safety.mode is Mode.ACTIVE:
                 self._safety.go_limp("the sensor board's watchdog took the torque off", needs_reset=True)
-            if not self._unconfirmed:
+            if not self.health.unconfirmed:
                 self._start_stream()  # which clears the board's flag, and gives the servos their power back
+                self._awake_by = now + BOOT_S + CONFIRM_S
         self.health.board_samples += 1
         self._sink(BoardReading(self.wire.board_clock.stamp(sample.time_us, event.arrival_ns), sample))
 
@@ -271,12 +288,12 @@ class Robot:
         self.health.voltage = {p.id: p.params[voltage] / 10 for p in packets}
         self.health.temperature = {p.id: p.params[temperature] for p in packets}
 
-    def _take_torque(self, reply: BusReply, expect_on: bool, stop_count: int) -> None:
-        packets = self._answers(reply, 1)
-        if stop_count != self._stop_count:
-            return  # asked before the latest emergency stop, which it cannot confirm
-        self.health.torque = {p.id: p.params != b"\x00" for p in packets}
-        lost = [f"{self._names[s]} (id {s})" for s, on in self.health.torque.items() if not on]
+    def _take_torque(self, reply: BusReply, expect_on: bool, limp_count: int) -> None:
+        told = {p.id: p.params != b"\x00" for p in self._answers(reply, 1)}
+        if limp_count != self._limp_count:
+            return  # asked before the robot was last told to be limp, which it cannot confirm
+        self.health.torque |= told
+        lost = [f"{self._names[s]} (id {s})" for s, on in told.items() if not on]
         if expect_on and lost and self._safety.mode is Mode.ACTIVE:
             self._safety.go_limp(
                 f"no torque at {', '.join(lost)}: overload protection or a restarted servo", needs_reset=True
@@ -359,6 +376,7 @@ class Robot:
         here = {servo: TimedMove(step, 0, 1) for servo, step in self._steps(start).items()}
         self.wire.submit(feetech.timed_moves(here))
         self.wire.submit(feetech.torque(self._calibration.servos, True))
+        self._armed, self._confirm_by = True, math.inf
         self._torque_timer.soon(time.monotonic(), 0.1)
 
     def _steps(self, position: Sequence[float]) -> dict[int, int]:

@@ -7,7 +7,7 @@ from hexapod_driver import feetech
 from hexapod_driver.calibration import Calibration
 from hexapod_driver.link import Link
 from hexapod_driver.readings import Health
-from tcbi_contract.safety import Mode, Safety
+from tcbi_contract.safety import Mode
 
 OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
 BEHIND_S = 0.05  # of a stamp: less is the jitter of the link
@@ -26,7 +26,7 @@ class Status:
 
 def statuses(link: Link, refused: int, last_refusal: str) -> list[Status]:
     """Link, servos and safety at this moment."""
-    return [_link(link), _servos(link), _safety(link.safety, refused, last_refusal)]
+    return [_link(link), _servos(link), _safety(link, refused, last_refusal)]
 
 
 def graph(publishers: dict[str, int]) -> Status:
@@ -109,14 +109,28 @@ def _listed(names: dict[int, str], servos: Sequence[int]) -> str:
     return ", ".join(names[s] for s in servos)
 
 
-def _safety(safety: Safety, refused: int, last_refusal: str) -> Status:
+def _safety(link: Link, refused: int, last_refusal: str) -> Status:
+    safety, unconfirmed = link.safety, _unconfirmed(link)
     mode = safety.mode
-    level = ERROR if mode is Mode.STOPPED else WARN if safety.needs_reset else OK
+    level = ERROR if mode is Mode.STOPPED or unconfirmed else WARN if safety.needs_reset else OK
     message = mode.value if not safety.reason or safety.reason == mode.value else f"{mode.value}: {safety.reason}"
+    if unconfirmed:
+        message += f"; torque not confirmed to be off by {unconfirmed}"
     if safety.needs_reset:
         release = "call emergency_stop/release, then" if mode is Mode.STOPPED else "call"
         message += f"; {release} reset_episode to arm"
     values = {"mode": mode.value, "needs_reset": str(safety.needs_reset).lower(), "refused_commands": str(refused)}
+    if unconfirmed:
+        values["torque_unconfirmed"] = unconfirmed
     if last_refusal:
         values["last_refusal"] = last_refusal
     return Status("safety", level, message, values)
+
+
+def _unconfirmed(link: Link) -> str:
+    """Which servos of a limp robot have not said that their torque is off; empty where all have."""
+    joints, robot = link.settings.calibration.joints, link.robot
+    servos = tuple(joint.servo for joint in joints.values()) if robot is None else robot.health.unconfirmed
+    if len(servos) == len(joints):
+        return "any servo"
+    return _listed({joint.servo: f"{name} (id {joint.servo})" for name, joint in joints.items()}, servos)

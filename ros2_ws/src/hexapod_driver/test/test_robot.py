@@ -62,7 +62,7 @@ def safety() -> Safety:
 
 @pytest.fixture
 def robot(wire: Told, safety: Safety, monkeypatch: pytest.MonkeyPatch) -> Robot:
-    monkeypatch.setattr("hexapod_driver.robot.STOP_CONFIRM_S", LONG_S)
+    monkeypatch.setattr("hexapod_driver.robot.CONFIRM_S", LONG_S)
     monkeypatch.setattr("hexapod_driver.robot.TORQUE_CHECK_S", 1e-3)
     return Robot(wire, CALIBRATION, safety, lambda reading: None, 400)
 

@@ -31,11 +31,13 @@ class Torque:
     Attributes:
       needs_reset: it takes no commands until it is reset.
       reason: why the torque is off.
+      confirmed: nothing says that servos were told to have no torque, but do not confirm it.
     """
 
     mode: Mode
     needs_reset: bool = False
     reason: str = ""
+    confirmed: bool = True
 
     @staticmethod
     def of(values: Mapping[str, str], sentence: str) -> "Torque | None":
@@ -44,7 +46,7 @@ class Torque:
         if mode is None:
             return None
         reason = sentence.partition(f"{Mode.LIMP.value}: ")[2].partition(";")[0]
-        return Torque(mode, values.get("needs_reset") == "true", reason)
+        return Torque(mode, values.get("needs_reset") == "true", reason, "torque_unconfirmed" not in values)
 
 
 STOPPED = Torque(Mode.STOPPED, needs_reset=True)
@@ -72,10 +74,11 @@ def shown(torque: Torque | None, age_s: float, motion: bool) -> Shown:
     since = f" (not heard for {ago(age_s)})" if old else ""
     if torque.mode is Mode.ACTIVE:
         return Shown(f"Torque is on{since}", old=old)
+    off = "torque is off" if torque.confirmed else "torque off is not confirmed, cut the power to be sure"
     if torque.mode is Mode.STOPPED:
         then = f'Next: "{RELEASE}". Nothing moves then; the torque comes back with "{RESET}" or with a recording.'
-        return Shown(f"STOPPED: torque is off{since}", then if motion else NO_LEAVE, True, motion, old=old)
-    head = f"Torque is off{f': {torque.reason}' if torque.reason else ''}{since}"
+        return Shown(f"STOPPED: {off}{since}", then if motion else NO_LEAVE, True, motion, old=old)
+    head = f"T{off[1:]}{f': {torque.reason}' if torque.reason else ''}{since}"
     if not torque.needs_reset:
         return Shown(head, "" if old else "It comes back with the next command.", old=old)
     then = f'Next: "{RESET}": it takes its starting posture. A recording does the same first.'

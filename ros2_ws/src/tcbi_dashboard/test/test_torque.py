@@ -17,6 +17,13 @@ def test_simulation_and_driver_tell_their_torque_and_others_tell_none():
     assert Torque.of({"policy": "gait:steps"}, "resting") is None
 
 
+@pytest.mark.parametrize("mode", ["limp", "emergency stop"])
+def test_torque_that_no_servo_confirms_to_be_off_is_not_said_to_be_off(mode: str):
+    values = {"mode": mode, "needs_reset": "true", "torque_unconfirmed": "any servo"}
+    head = shown(Torque.of(values, "limp: no reading; torque not confirmed to be off by any servo"), 0.5, True).head
+    assert "is off" not in head and "cut the power" in head
+
+
 def test_a_stop_is_said_and_leads_to_its_release_and_then_to_the_reset():
     stopped = shown(STOPPED, 0.5, motion=True)
     assert stopped.head == "STOPPED: torque is off" and stopped.stopped and stopped.release and not stopped.reset
