@@ -22,7 +22,7 @@ from tcbi_bringup.arguments import Parser
 from tcbi_bringup.commands import collect
 from tcbi_contract import messages, names
 from tcbi_contract.goals import UNKNOWN_TIMES, SentGoal
-from tcbi_infer import collect_client, collector
+from tcbi_infer import collect_client, collector_services
 from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.collection import Request, scenario_of
 from tcbi_infer.errors import RecordingError
@@ -160,6 +160,19 @@ def test_nobody_at_the_prompt_starts_no_robot_and_frees_the_recorder(start_graph
     assert robot.resets and not [path for path in (tmp_path / "bags").iterdir() if path.is_dir()]
 
 
+def test_two_robots_are_not_recorded_as_one(start_graph, peer, tmp_path):
+    start_graph(recorder(tmp_path / "bags", lockstep=False, alone_timeout_s=2.0))
+    robot = Robot(peer)
+    second = peer.node.create_publisher(JointState, names.JOINT_STATES, messages.STREAM_QOS)
+    goal = {"task": "balance", "number": 1, "policy": "none", "duration_s": 0.4}
+    status, result = Collection(peer, **goal).result()
+    assert status == GoalStatus.STATUS_ABORTED and robot.resets == 0
+    assert result.message.startswith("2 nodes publish joint_states, allowed is one")
+    peer.node.destroy_publisher(second)
+    status, result = Collection(peer, **goal).result()
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+
+
 class Service:
     """A service as its client sees it."""
 
@@ -176,7 +189,7 @@ class Placing:
     def __init__(self, placing_s: float) -> None:
         self.placing_s, self.asked = placing_s, []
         services = {names.RESET_EPISODE: Service(self.reset), names.PLACE_ROBOT: Service(self.place)}
-        self.collector = collector.Collector(
+        self.services = collector_services.Services(
             SimpleNamespace(
                 create_client=lambda _, name: services.get(name),
                 values=SimpleNamespace(service_timeout_s=5.0, place_timeout_s=5.0),
@@ -202,7 +215,7 @@ class Placing:
 
     def run(self, goal):
         """What a reset with its placing answers to a goal."""
-        coroutine = self.collector._reset_episode(goal, scenario_of(Request("balance", 1), 0), "")
+        coroutine = self.services.reset_episode(goal, scenario_of(Request("balance", 1), 0), "")
         while True:
             try:
                 coroutine.send(None)
@@ -212,7 +225,7 @@ class Placing:
 
 @pytest.mark.parametrize(("held_s", "resets"), [(5.0, 1), (0.05, 2)])
 def test_a_robot_that_may_have_gone_limp_while_it_was_placed_is_reset_again(monkeypatch, held_s, resets):
-    monkeypatch.setattr(collector, "HELD_S", held_s)
+    monkeypatch.setattr(collector_services, "HELD_S", held_s)
     placing = Placing(0.1)
     reset, placed = placing.run(SimpleNamespace(is_cancel_requested=False))
     assert placing.asked == [names.RESET_EPISODE, names.PLACE_ROBOT, names.RESET_EPISODE][: resets + 1]
@@ -221,7 +234,7 @@ def test_a_robot_that_may_have_gone_limp_while_it_was_placed_is_reset_again(monk
 
 def test_hands_are_waited_for_until_the_goal_is_cancelled():
     placing = Placing(math.inf)
-    with pytest.raises(collector.CancelledError):
+    with pytest.raises(collector_services.CancelledError):
         placing.run(SimpleNamespace(is_cancel_requested=True))
     assert placing.asked == [names.RESET_EPISODE, names.PLACE_ROBOT]
 

@@ -67,6 +67,12 @@ class RecorderParameters:
     min_free_mb: float = parameter(50.0, "free disk space without which no rollout begins, MB", low=0.0)
     service_timeout_s: float = parameter(20.0, "how long another node may take to answer", low=0.5, high=600.0)
     place_timeout_s: float = parameter(600.0, "how long a person may take to place the robot", low=1.0, high=86400.0)
+    alone_timeout_s: float = parameter(
+        25.0,
+        "how long a second robot on the topics is waited out: one that was killed counts for 20 s",
+        low=0.0,
+        high=300.0,
+    )
     silence_timeout_s: float = parameter(
         5.0, "wall time without joint_states that aborts a rollout", low=0.5, high=600.0
     )
