@@ -85,3 +85,13 @@ def folder_path(text: str) -> Path:
     if not there.is_dir():
         raise argparse.ArgumentTypeError(f"got {text!r}, allowed is a folder, and {there} is a file")
     return path
+
+
+def node_parameter(text: str) -> tuple[str, str, str]:
+    """A node, one of its parameters, and the text of its value: NODE.PARAMETER=VALUE."""
+    found = re.fullmatch(r"(\w+)\.(\w+)=(.*)", text, re.ASCII | re.DOTALL)
+    if not found:
+        raise argparse.ArgumentTypeError(
+            f"got {text!r}, allowed is NODE.PARAMETER=VALUE, e.g. inference_node.posterior_moved=1.0"
+        )
+    return found[1], found[2], found[3]

@@ -3,7 +3,7 @@
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from hexapod_driver.calibration import load as load_calibration
 from tcbi_bringup.emulated_robot.hidden_names import STRENGTHS
 from tcbi_bringup.errors import LaunchError
 from tcbi_bringup.launcher import Graph, NodeProcess
+from tcbi_bringup.node_parameters import Setting, given_parameters
 from tcbi_policy.artefact import find_policy
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.store import LATEST, ModelStore
@@ -42,6 +43,7 @@ class GraphOptions:
       recordings: where rollouts are recorded and looked for; None for a folder of the store.
       baud_rate: of a real robot's port, bit/s; 0 for the driver's own.
       sensor_baud_rate: of its second port.
+      settings: parameters of nodes, beside what the graph gives them, or in its place.
     """
 
     store: Path
@@ -60,6 +62,7 @@ class GraphOptions:
     recordings: Path | None = None
     baud_rate: int = 0
     sensor_baud_rate: int = 0
+    settings: tuple[Setting, ...] = ()
 
     @property
     def bags(self) -> Path:
@@ -79,6 +82,7 @@ class GraphOptions:
           CalibrationError: the file cannot be read, or says what cannot be.
           PolicyError: the policy does not exist, is damaged, or is another robot's.
           UnknownNameError: there is no such task or model version.
+          WrongCallError: a setting names what no node has, or a value that it does not allow.
         """
         if self.lockstep and self.robot != SIM:
             raise LaunchError(
@@ -110,6 +114,7 @@ class GraphOptions:
             raise UnknownNameError("model version", self.model, known)
         if self.policy:
             find_policy(self.policy, self.store)
+        graph_processes(self, Path())
         self._check_recordings()
 
     def _check_recordings(self) -> None:
@@ -198,6 +203,17 @@ def companion_processes(options: GraphOptions) -> list[NodeProcess]:
     return nodes
 
 
+def graph_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
+    """All processes, in the order of their start, with the parameters that were set.
+
+    Raises:
+      WrongCallError: a setting names what no node has, or a value that it does not allow.
+    """
+    processes = [*robot_processes(options, folder), *companion_processes(options)]
+    given = given_parameters(options.settings, processes)
+    return [replace(p, parameters={**p.parameters, **given.get(p.key, {})}) for p in processes]
+
+
 def start_graph(
     graph: Graph, options: GraphOptions, folder: Path, end_asked: Callable[[], bool] = lambda: False
 ) -> None:
@@ -212,12 +228,10 @@ def start_graph(
     Raises:
       LaunchError: the emulated robot has ended, or opens no port.
     """
-    for process in robot_processes(options, folder):
+    for process in graph_processes(options, folder):
         graph.start(process)
         if not process.ros:
             _wait_for_port(emulated_port(folder), graph, end_asked)
-    for process in companion_processes(options):
-        graph.start(process)
 
 
 def _wait_for_port(port: Path, graph: Graph, end_asked: Callable[[], bool]) -> None:

@@ -1,6 +1,8 @@
 """Node parameters from one frozen dataclass: described, typed, bounded, refused by name at the start; needs ROS."""
 
 import dataclasses
+import json
+import math
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -52,6 +54,43 @@ def declare(node: Node, cls: type[T]) -> T:
     if faults:
         raise ParameterError("; ".join(faults))
     return cls(**values)
+
+
+def read_parameter(cls: type, name: str, text: str) -> Any:
+    """The value of a parameter from the text of a command line: JSON, but for a string, which is the text itself.
+
+    Raises:
+      ParameterError: the dataclass has no such parameter, or the parameter allows no such value.
+    """
+    fields = {f.name: f for f in dataclasses.fields(cls)}
+    if name not in fields:
+        raise ParameterError(f"unknown parameter {name!r}; known are {', '.join(fields)}")
+    field = fields[name]
+    default = _default(field)
+    value = text if isinstance(default, str) else _from_json(text)
+    if isinstance(default, float) and type(value) is int:
+        value = float(value)
+    if type(value) is not type(default) or not _fits(field, value):
+        raise ParameterError(f"parameter {name!r}: got {text!r}, allowed is {_allowed(field, default)}")
+    return value
+
+
+def _from_json(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _fits(field: dataclasses.Field, value: Any) -> bool:
+    low, high, choices = (field.metadata[key] for key in ("low", "high", "choices"))
+    faults = (
+        isinstance(value, float) and not math.isfinite(value),
+        choices and value not in choices,
+        low is not None and value < low,
+        high is not None and value > high,
+    )
+    return not any(faults)
 
 
 def _default(field: dataclasses.Field) -> Any:

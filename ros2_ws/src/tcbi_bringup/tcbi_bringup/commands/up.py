@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tcbi_bringup.arguments import at_least, folder_path, namespace
+from tcbi_bringup.arguments import at_least, folder_path, namespace, node_parameter
 from tcbi_bringup.commands import console
 
 SUMMARY = "Start the graph of nodes on a simulation, an emulated robot or a real one; Ctrl-C stops all of it."
@@ -40,6 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_hidden(parser)
     parser.add_argument("--no-learning", action="store_true", help="leave out the inference and the retrain node")
     parser.add_argument(
+        "--set",
+        type=node_parameter,
+        action="append",
+        default=[],
+        metavar="NODE.PARAMETER=VALUE",
+        help="set a parameter of a node (docs/parameters.md lists them all); may be given several times",
+    )
+    parser.add_argument(
         "--log-dir", type=folder_path, help="where the processes' logs go (default: a new folder, named at start)"
     )
     console.add_store(parser)
@@ -49,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi up --robot emulated --policy gait:tripod --bags rollouts",
         "./tcbi up --robot emulated --hidden payload --strength weak --seed 7",
         "./tcbi up --robot /dev/rfcomm0 --calibration my_robot.toml",
+        "./tcbi up --set inference_node.posterior_moved=1.0 --set inference_node.least_rollouts=20",
         "ROS_DOMAIN_ID=7 ./tcbi up --lockstep --task forward",
     )
 
@@ -58,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_bringup.domain_lock import hold_domain, present_domain, refuse_second_graph
     from tcbi_bringup.graph_monitor import GraphMonitor
     from tcbi_bringup.launcher import Graph
+    from tcbi_bringup.node_parameters import Setting
     from tcbi_bringup.robot_graph import SIM, newest_model, start_graph
 
     options = console.graph_options(
@@ -66,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
         lockstep=args.lockstep,
         learning=not args.no_learning,
         recordings=args.bags.expanduser().resolve() if args.bags else None,
+        settings=tuple(Setting(*given) for given in args.set),
     )
     options.check()
     domain, folder = present_domain(), log_folder(args.log_dir)
