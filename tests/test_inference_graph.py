@@ -149,6 +149,26 @@ def test_the_rollouts_of_a_simulation_are_no_rollouts_of_the_robot(start_graph, 
     assert "6 rollouts whose source is sim" in said and "newest one is driver" in said
 
 
+def test_a_node_that_is_started_again_publishes_its_posterior_and_infers_nothing_anew(
+    start_graph, peer, node, tmp_path
+):
+    write_rollouts(tmp_path / "bags", 0, 6)
+    quiet = NodeProcess("tcbi_infer", "inference_node", parameters={**node.parameters, "retrain": False})
+    graph = start_graph(quiet)
+    before = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(before), "the posterior", WORK_S)
+    peer.wait_until(lambda: "inferring" in graph.tail("inference_node", 1000), "its line")
+    graph.stop()
+    graph = start_graph(quiet)
+    after = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(after), "the posterior, once more", WORK_S)
+    assert (after[-1].model, after[-1].source_rollouts) == (f"{RIG}-v1", before[0].source_rollouts)
+    assert list(after[-1].mean) == list(before[0].mean)
+    assert not peer.comes(lambda: "inferring" in graph.tail("inference_node", 1000), 2.0)
+    write_rollouts(tmp_path / "bags", 6, 3)
+    peer.wait_until(lambda: after[-1].model == f"{RIG}-v2", "the posterior of all of them", WORK_S)
+
+
 def test_a_training_whose_server_dies_is_asked_for_again(start_graph, peer, node, tmp_path):
     goals = []
 

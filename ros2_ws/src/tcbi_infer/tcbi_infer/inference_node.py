@@ -27,6 +27,7 @@ from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_contract.wording import counted
 from tcbi_infer.diagnose import adopt
+from tcbi_infer.earlier_fit import newest_fit, posterior_of
 from tcbi_infer.inference_worker import DIAGNOSE, INFER, Job
 from tcbi_infer.messages import diagnosis_message, model_error_message, number, posterior_message
 from tcbi_infer.rollout_folder import RolloutFolder
@@ -100,6 +101,7 @@ class InferenceNode(Node):
         self._wish: Retrain.Goal | None = None  # for a training; a later one takes its place
         self._ask_after = 0.0  # s of the steady clock
         self._open()
+        self._take_up()
 
     def _open(self) -> None:
         own, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
@@ -125,6 +127,24 @@ class InferenceNode(Node):
         self.get_logger().info(f"watches {self._folder.path}, model {self._model}")
 
     # -- rollouts and inference -----------------------------------------------------------------------------------
+
+    def _take_up(self) -> None:
+        """Count what an earlier life inferred as inferred, and publish that posterior once more."""
+        self._look()
+        found = newest_fit(self._store, self._store.load(self._model), self.values.method)
+        known = self._folder.holding(found.evidence["inference"]["rollouts"]) if found else set()
+        if found is None or not known & set(self._folder.fitted):
+            return
+        try:
+            posterior = posterior_of(self._store, found)
+        except (OSError, KeyError) as e:
+            self.get_logger().warning(f"{found.version} was not saved whole ({e}); it is inferred again")
+            return
+        self._posterior.publish(posterior_message(posterior, self.get_clock().now().to_msg()))
+        self._inferred = known
+        if self._model != LATEST:
+            self._model = found.version
+        self.get_logger().info(f"goes on from {found.version}, which holds {counted(len(known), 'rollout')} of these")
 
     def _on_event(self, event: RolloutEvent) -> None:
         if event.kind == RolloutEvent.END and self._worker is None:

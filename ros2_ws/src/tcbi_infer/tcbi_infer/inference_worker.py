@@ -93,10 +93,23 @@ def usable(bags: Sequence[str], emit: Emit, rig: str | None = None) -> list[Meas
     return list(found.values())
 
 
+def _to_fit(job: Job, emit: Emit) -> list[Measurement]:
+    """The rollouts of a job.
+
+    Raises:
+      BagError: it names no bag, or none that can be used.
+    """
+    if not job.bags:
+        raise BagError(
+            "there is no rollout to fit: no bag is named, and none was recorded yet; record some, or name bags"
+        )
+    return usable(job.bags, emit)
+
+
 def run_inference(job: Job, emit: Emit) -> None:
     """Infer, save a model version, and judge it and its parent on the rollouts that were held out."""
     store = ModelStore(job.store)
-    measurements = usable(job.bags, emit)
+    measurements = _to_fit(job, emit)
     model = store.load(job.model, measurements[0].rig)
     method = find_method(job.method)
     problem = Problem.of(
@@ -239,7 +252,7 @@ def model_error(model: Model, measurements: list[Measurement], floor: NoiseFloor
 def run_diagnosis(job: Job, emit: Emit) -> None:
     """Diagnose, with the stages as progress."""
     store = ModelStore(job.store)
-    measurements = usable(job.bags, emit)
+    measurements = _to_fit(job, emit)
     model = store.load(job.model, measurements[0].rig)
 
     began = time.monotonic()

@@ -264,6 +264,15 @@ def test_a_fault_of_the_input_arrives_as_one_line(tmp_path: Path) -> None:
     assert events[0]["event"] == "failed" and "nowhere" in events[0]["message"] and "\n" not in events[0]["message"]
 
 
+@pytest.mark.parametrize("kind", [INFER, DIAGNOSE])
+def test_a_job_without_bags_fails_in_one_line(kind: str, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+    asked = Job(kind, str(tmp_path), "latest", bags=())
+    monkeypatch.setattr(sys, "stdin", io.StringIO(asked.to_json() + "\n"))
+    assert inference_worker.main() == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["event"] == "failed" and told["message"].startswith("there is no rollout to fit")
+
+
 STRAY = """
 import os
 from tcbi_infer.worker_process import serve
