@@ -12,7 +12,8 @@ clock but the steady one, for silence.
     tick = ticker.due(needs_attitude=True)        # a Tick, or None
     reason = ticker.silence(True, wall)           # why the motion must stop, or ""
 
-Late or missing data stop the motion: `due` raises `SensorLoss`, and nothing is due until the next `enable`.
+Late or missing data stop the motion: `due` raises `SensorLoss`, and nothing is due until the next `enable`. A simulation
+that is reset starts the ticks anew; in simulated time that is known from a gap by where the stamps go on.
 """
 
 from collections import deque
@@ -23,7 +24,8 @@ import numpy as np
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_policy.errors import PolicyError
 
-PERIOD = round(CONTROL_PERIOD_S * 1e9)  # ns
+SECOND = 1_000_000_000  # ns
+PERIOD = round(CONTROL_PERIOD_S * SECOND)
 MAX_AGE = PERIOD // 2  # ns, of a sample at its tick
 DEPTH = 64
 
@@ -131,11 +133,15 @@ class Ticker:
         self._attitude.add(stamp, attitude, wall)
 
     def _follow_jump(self, stream: Stream, stamp: int) -> None:
-        """Start over where the clock was set back, or where a simulation was reset (its clock then jumps forward)."""
+        """Start over where the clock was set back, or where a simulation was reset (its clock then jumps forward).
+
+        What jumps forward in another way while ticks may come due is a gap, of which the coming tick tells.
+        """
         if stream.newest is None:
             return
         back = stamp < stream.newest - PERIOD
-        if back or (self._sim_time and stamp > stream.newest + MAX_AGE):
+        ahead = self._sim_time and stamp > stream.newest + MAX_AGE
+        if back or (ahead and (not self.enabled or _reset_follows(stream.newest, stamp))):
             stream.clear()
             self._first = self._next = None
             self._earliest = _grid_up(stamp)
@@ -156,6 +162,9 @@ class Ticker:
         time = self._next + behind * PERIOD
         if needs_attitude and self._waits_for_attitude(time):
             return None
+        if self._sim_time:  # no silence tells of a gap that ends at a tick
+            for skipped in range(self._next, time, PERIOD):
+                self._require(skipped, needs_attitude)
         self.missed += behind
         return self._tick(time, needs_attitude)
 
@@ -178,7 +187,7 @@ class Ticker:
         self._first = time
         return self._tick(time, needs_attitude)
 
-    def _tick(self, time: int, needs_attitude: bool) -> Tick:
+    def _require(self, time: int, needs_attitude: bool) -> None:
         for stream in (self._joints, self._attitude)[: 2 if needs_attitude else 1]:
             if stream.at(time) is None:
                 age = stream.age(time)
@@ -186,6 +195,9 @@ class Ticker:
                 raise SensorLoss(
                     f"{stream.name} is {age} at a control tick, at most {MAX_AGE / 1e6:.0f} ms are allowed"
                 )
+
+    def _tick(self, time: int, needs_attitude: bool) -> Tick:
+        self._require(time, needs_attitude)
         self._next = time + PERIOD
         self.ticks += 1
         position = self._joints.at(time)
@@ -216,6 +228,11 @@ class Ticker:
 
     def _stuck_on_attitude(self) -> bool:
         return self._joints.newest is not None and (self._attitude.newest or 0) < self._joints.newest
+
+
+def _reset_follows(newest: int, stamp: int) -> bool:
+    """Whether a stamp is that of a reset in lockstep: the whole second after the tick at which the clock stood."""
+    return newest % PERIOD == 0 and stamp == (newest // SECOND + 1) * SECOND
 
 
 def _grid_up(stamp: int) -> int:

@@ -69,10 +69,37 @@ def test_no_tick_comes_before_the_rollout_begins() -> None:
     assert [tick.time for tick in feed(ticker, 11_000 * MS)] == [11_000 * MS]
 
 
-def test_a_reset_simulation_starts_the_ticks_anew() -> None:
+@pytest.mark.parametrize(("stood_ms", "reset_ms"), [(1000, 2000), (1800, 2000), (2400, 3000), (2400, 1000)])
+def test_a_reset_simulation_starts_the_ticks_anew(stood_ms: int, reset_ms: int) -> None:
+    """In lockstep a reset jumps to the next whole second; another simulation sets its clock back."""
     ticker = started(sim_time=True)
-    ticks = feed(ticker, 5000 * MS)
-    assert [(tick.time, tick.elapsed) for tick in ticks] == [(5000 * MS, 0.0)]
+    for stamp in range(1020, stood_ms + 1, 20):
+        feed(ticker, stamp * MS)
+    ticks = feed(ticker, reset_ms * MS)
+    assert [(tick.time, tick.elapsed) for tick in ticks] == [(reset_ms * MS, 0.0)]
+
+
+@pytest.mark.parametrize("last_ms", [1000, 1140])
+@pytest.mark.parametrize("next_ms", [1520, 1800, 2200, 3000])
+def test_a_gap_in_simulated_time_stops_the_motion_also_where_it_ends_at_a_tick(last_ms: int, next_ms: int) -> None:
+    ticker = started(sim_time=True)
+    for stamp in range(1020, last_ms + 1, 20):
+        feed(ticker, stamp * MS)
+    with pytest.raises(SensorLoss, match="joint_states is"):
+        for k in range(10):
+            feed(ticker, (next_ms + 20 * k) * MS)
+    assert not ticker.enabled
+
+
+def test_a_jump_of_a_simulated_clock_is_no_gap_to_a_policy_that_rests_or_whose_rollout_begins_there() -> None:
+    resting = started(sim_time=True)
+    resting.disable()
+    feed(resting, 7770 * MS)
+    resting.enable(0.0)
+    assert [tick.time for tick in feed(resting, 7800 * MS)] == [7800 * MS]
+    begun = started(sim_time=True)
+    begun.not_before(7800 * MS)
+    assert [(tick.time, tick.elapsed) for tick in feed(begun, 7800 * MS)] == [(7800 * MS, 0.0)]
 
 
 def test_a_tick_waits_for_the_attitude() -> None:
