@@ -1,4 +1,4 @@
-"""What an earlier life of the inference node left: the version that it would go on from, and that version's posterior."""
+"""What an earlier life of the inference node left: the version to go on from, and the posterior that it published."""
 
 from typing import Any
 

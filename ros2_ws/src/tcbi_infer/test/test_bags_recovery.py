@@ -1,6 +1,8 @@
 """A recording that was cut anywhere gives back every complete chunk."""
 
+import shutil
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +17,8 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import Reader
 
 from tcbi_infer.bags import schemas
-from tcbi_infer.bags.files import find_bags, left_out
+from tcbi_infer.bags.files import REPAIRED, bags_in, find_bags, left_out
+from tcbi_infer.bags.folder import RecordingFolder
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_measurement
 from tcbi_infer.bags.recovery import recover
@@ -196,6 +199,70 @@ def test_an_unfinished_recording_gets_its_final_name(tmp_path):
     recovery = recover(tmp_path / "walk_1.recording")
     assert recovery.bag == tmp_path / "walk_1"
     assert differences(rollout(), read_measurement(recovery.bag)) == []
+
+
+def test_an_unfinished_recording_is_found_under_the_name_that_it_would_have_got(tmp_path):
+    bag = write_measurement(tmp_path, rollout())
+    left = bag.rename(tmp_path / "walk_1.recording")
+    (left / "metadata.yaml").unlink()
+    assert find_bags([bag]) == find_bags([bag, left]) == [left]
+    assert read_measurement(bag).rollout_id == "walk_1"
+    assert recover(bag).bag == bag and bag.is_dir() and not left.exists()
+    with pytest.raises(BagError, match="walk_2: there is no such bag"):
+        recover(tmp_path / "walk_2")
+
+
+class Killed(BaseException):
+    """Stands for the end of the process."""
+
+
+def killed_at_its_last_step(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A repair whose process ends between its two renames."""
+    rename = Path.rename
+
+    def until(path: Path, target: Path) -> Path:
+        if path.name.endswith(REPAIRED):
+            raise Killed
+        return rename(path, target)
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(Path, "rename", until)
+        recover(bag)
+    assert not bag.exists()
+
+
+def cut_in_half(bag: Path, bare: bool) -> Path:
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    if not bare:
+        return bag
+    file = file.rename(bag.parent / "lab.walk.mcap")
+    shutil.rmtree(bag)
+    return file
+
+
+@pytest.mark.parametrize("bare", [False, True])
+@pytest.mark.parametrize("look", ["folder", "name", "recorder", "recover"])
+def test_a_repair_that_was_killed_at_its_last_step_is_finished_at_the_next_look(tmp_path, monkeypatch, bare, look):
+    bag = cut_in_half(write_measurement(tmp_path, rollout(samples=400)), bare)
+    killed_at_its_last_step(bag, monkeypatch)
+    if look == "recorder":
+        with RecordingFolder(tmp_path) as folder:
+            assert folder.repaired == [f"the repair of {bag.name} was interrupted; it is whole now"]
+    elif look == "recover":
+        assert not recover(bag).repaired
+    else:
+        assert (bags_in(tmp_path) if look == "folder" else find_bags([bag])) == [bag]
+    assert bags_in(tmp_path) == [bag] and not list(tmp_path.glob(f".*{REPAIRED}"))
+    assert [note[:6] for note in read_measurement(bag).notes] == ["no END"]
+
+
+def test_a_bag_that_was_removed_is_not_brought_back_by_a_repair_that_did_not_touch_it(tmp_path, monkeypatch):
+    bag = cut_in_half(write_measurement(tmp_path, rollout(samples=400)), bare=False)
+    killed_at_its_last_step(bag, monkeypatch)
+    shutil.rmtree(tmp_path / "walk_1.damaged")  # as if the process had ended before its first rename
+    with pytest.raises(BagError, match="holds no bag"):
+        find_bags([tmp_path])
 
 
 def test_a_sound_bag_is_left_alone(tmp_path):

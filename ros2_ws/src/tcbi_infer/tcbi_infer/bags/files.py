@@ -1,5 +1,6 @@
 """Where the recordings are: a bag's folder, a folder of bags, or a bare .mcap file."""
 
+import contextlib
 import fcntl
 import re
 from collections.abc import Iterable
@@ -9,16 +10,18 @@ from tcbi_infer.bags.writer import UNFINISHED
 from tcbi_infer.errors import BagError
 
 ASIDE = ".damaged"  # suffix of an original that was repaired and kept
+REPAIRED = ".recovered"  # suffix of a hidden, whole bag that is about to take its original's place
 SQLITE = (".db3", ".sqlite3")  # of bags of another storage
 LOCK = ".recorder.lock"  # held by the recorder that uses a folder
 
 
 def mcap_files(bag: Path) -> list[Path]:
-    """The MCAP files of one bag, in the order in which they were recorded.
+    """The MCAP files of one bag, `present` under its name or not, in the order in which they were recorded.
 
     Raises:
       BagError: there is no such path, or nothing in it is MCAP.
     """
+    bag = present(bag)
     if bag.is_file():
         if bag.suffix == ".mcap":
             return [bag]
@@ -33,6 +36,26 @@ def mcap_files(bag: Path) -> list[Path]:
     return files
 
 
+def present(bag: Path) -> Path:
+    """The bag of this name, or the unfinished one that a recorder left when it was killed."""
+    if bag.exists():
+        return bag
+    finish_repairs(bag.parent)
+    unfinished = bag.with_name(f"{bag.name}{UNFINISHED}")
+    return unfinished if not bag.exists() and unfinished.is_dir() else bag
+
+
+def finish_repairs(folder: Path) -> list[Path]:
+    """Give repaired bags their names where the repair was killed after it had put the original aside; returns them."""
+    finished = []
+    for repaired in folder.glob(f".*{REPAIRED}"):
+        bag = folder / repaired.name[1:].removesuffix(REPAIRED)
+        if not bag.exists() and _kept_as(bag, repaired.is_dir()).exists():
+            with contextlib.suppress(OSError):  # another process was faster, or the folder cannot be written
+                finished.append(repaired.rename(bag))
+    return finished
+
+
 def find_bags(paths: Iterable[Path]) -> list[Path]:
     """The bags among `paths`; a folder that is no bag itself stands for the bags in it, in order of name.
 
@@ -41,7 +64,7 @@ def find_bags(paths: Iterable[Path]) -> list[Path]:
     Raises:
       BagError: a path holds no bag.
     """
-    paths = list(paths)
+    paths = list(map(present, paths))
     skipped = left_out(paths)
     found: list[Path] = []
     for path in (p for p in paths if p not in skipped):
@@ -59,7 +82,11 @@ def find_bags(paths: Iterable[Path]) -> list[Path]:
 
 
 def bags_in(folder: Path) -> list[Path]:
-    """The bags right in a folder, in order of name; no hidden one (a repair at work), and none for `left_out`."""
+    """The bags right in a folder, in order of name; no hidden one (a repair at work), and none for `left_out`.
+
+    Repairs that were killed at their last step are finished first, so that no rollout is missing.
+    """
+    finish_repairs(folder)
     paths = (p for p in folder.iterdir() if not p.name.startswith("."))
     return [p for p in sorted(paths, key=_natural) if is_bag(p) and not _unwanted(p)]
 
@@ -92,6 +119,11 @@ def is_recording(folder: Path) -> bool:
         except OSError:
             return True
     return False
+
+
+def _kept_as(bag: Path, is_folder: bool) -> Path:
+    """Where a repair keeps the original of a bag's folder or of a bare file."""
+    return bag.with_name(f"{bag.name}{ASIDE}" if is_folder else f"{bag.stem}{ASIDE}{bag.suffix}")
 
 
 def set_aside(path: Path) -> bool:

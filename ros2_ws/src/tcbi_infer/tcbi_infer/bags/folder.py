@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import IO
 
 from tcbi_contract.wording import counted
-from tcbi_infer.bags.files import ASIDE, LOCK
+from tcbi_infer.bags.files import ASIDE, LOCK, finish_repairs
 from tcbi_infer.bags.recovery import recover
 from tcbi_infer.bags.writer import UNFINISHED
 from tcbi_infer.errors import BagError, RecordingError
@@ -61,7 +61,7 @@ class RecordingFolder:
 
     def _repair(self) -> list[str]:
         """Give the recordings of a killed recorder an index and their final name; a line for each."""
-        lines = []
+        lines = [f"the repair of {bag.name} was interrupted; it is whole now" for bag in finish_repairs(self.path)]
         for left in sorted(self.path.glob(f"*{UNFINISHED}")):
             try:
                 recovery = recover(left, owned=True)

@@ -3,6 +3,7 @@
 The original is kept beside it, with `.damaged` in its name. A bag that nothing ails is left alone.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from tcbi_infer.bags import schemas
-from tcbi_infer.bags.files import ASIDE, bag_name, is_recording, mcap_files, set_aside
+from tcbi_infer.bags.files import ASIDE, REPAIRED, bag_name, is_recording, mcap_files, present, set_aside
 from tcbi_infer.bags.scan import CDR, Channel, Message, Scan, no_message
 from tcbi_infer.bags.writer import UNFINISHED, BagWriter, Topic, offered_qos
 from tcbi_infer.errors import BagError
@@ -44,7 +45,7 @@ def recover(bag: Path, owned: bool = False) -> Recovery:
       BagError: it is no recording, it is an original that a repair kept, or not one message of it can be read.
       RecordingError: the disk is full; the original is untouched then.
     """
-    bag = bag.parent if bag.name == "metadata.yaml" else bag
+    bag = present(bag.parent if bag.name == "metadata.yaml" else bag)
     files = mcap_files(bag)
     is_folder = bag.is_dir()
     if set_aside(bag) or (not is_folder and set_aside(bag.parent)):
@@ -65,7 +66,8 @@ def recover(bag: Path, owned: bool = False) -> Recovery:
         raise BagError(f"{final} exists already; move it away, then recover {bag.name} again")
     written = _rewrite(files, bag.parent, final, is_folder)
     bag.rename(aside)
-    written.rename(final)
+    with contextlib.suppress(FileNotFoundError):  # a listing of the folder has finished it in between
+        written.rename(final)
     recovery.bag, recovery.original = final, aside
     return recovery
 
@@ -84,9 +86,9 @@ def _survey(scans: list[Scan], recovery: Recovery) -> tuple[int, int]:
 
 
 def _rewrite(files: list[Path], parent: Path, final: Path, is_folder: bool) -> Path:
-    """A fresh bag of all readable messages under a temporary name; for a bare file, the file alone."""
+    """A fresh bag of all readable messages under a hidden name; for a bare file, the file alone."""
     name = bag_name(final)
-    workshop = parent / f".{name}.recovering"
+    workshop, repaired = parent / f".{name}.recovering", parent / f".{final.name}{REPAIRED}"
     if workshop.exists():
         _remove(workshop)
     with BagWriter(workshop, name) as writer:
@@ -97,16 +99,14 @@ def _rewrite(files: list[Path], parent: Path, final: Path, is_folder: bool) -> P
                 known[kind] = _register(writer, message.channel)
             writer.append(known[kind], message.log_time, message.data, message.publish_time)
     if is_folder:
-        bag = parent / f".{name}.recovered"
-        if bag.exists():
-            _remove(bag)
-        writer.path.rename(bag)
+        if repaired.exists():
+            _remove(repaired)
+        writer.path.rename(repaired)
         workshop.rmdir()
-        return bag
-    file = parent / f".{name}.recovered"
-    (writer.path / f"{name}_0.mcap").replace(file)
-    _remove(workshop)
-    return file
+    else:
+        (writer.path / f"{name}_0.mcap").replace(repaired)
+        _remove(workshop)
+    return repaired
 
 
 def _messages(files: list[Path]) -> Iterator[Message]:
