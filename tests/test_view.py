@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 
-def view(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def view(*arguments: str, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own, since MuJoCo chooses its renderer when it is imported."""
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")} | environment
     command = [sys.executable, "-P", "-m", "tcbi_bringup.cli", "view", *arguments]
-    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=100)
+    return subprocess.run(command, env=env, cwd=folder, capture_output=True, text=True, timeout=100)
 
 
 def robot_pixels(image: np.ndarray) -> int:
@@ -45,6 +45,14 @@ def test_a_picture_and_a_video_show_the_robot(tmp_path: Path):
     assert 2_000 < robot_pixels(picture) < 60_000
     assert len(frames) == 10
     assert robot_pixels(frames[-1]) > 2_000
+
+
+@pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="no EGL on this machine (libegl1)")
+def test_a_display_that_is_named_but_not_there_is_told_and_files_are_drawn(tmp_path: Path):
+    done = view("--seconds", "0.1", folder=tmp_path, DISPLAY=":99")
+    assert done.returncode == 0, done.stderr
+    assert "display :99 opens no window: rendering to files" in done.stderr and "GLFW" not in done.stderr
+    assert robot_pixels(imageio.imread(tmp_path / "tcbi_view.png")) > 2_000
 
 
 @pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="no EGL on this machine (libegl1)")

@@ -11,8 +11,11 @@ imported.
 
 import ctypes.util
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,15 @@ from tcbi_sim.errors import SimError
 
 WIDTH, HEIGHT = 960, 540
 FRAME_RATE = 25
+PROBE_S = 20.0  # wall time that opening a window may take
+PROBE = """
+import glfw
+if not glfw.init():
+    raise SystemExit(1)
+glfw.window_hint(glfw.VISIBLE, False)
+if not glfw.create_window(64, 64, "", None, None):
+    raise SystemExit(1)
+"""
 EGL_REMEDY = "on Debian or Ubuntu: sudo apt install libegl1 libegl-mesa0 libgl1-mesa-dri"
 
 
@@ -30,9 +42,17 @@ class ViewError(SimError):
     """There is nothing to draw with, or nowhere to draw to."""
 
 
-def has_display() -> bool:
-    """Whether a window could be opened."""
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+@cache
+def why_no_window() -> str:
+    """Why no window can be opened, or "": tried in another process, which a graphics library may end."""
+    display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+    if not display:
+        return "no display"
+    try:
+        opened = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=PROBE_S).returncode == 0
+    except subprocess.TimeoutExpired:
+        opened = False
+    return "" if opened else f"display {display} opens no window"
 
 
 def prepare_headless() -> None:

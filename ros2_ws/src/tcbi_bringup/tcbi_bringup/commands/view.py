@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if not args.png and not args.video:
         args.png, args.video = Path("tcbi_view.png"), Path("tcbi_view.mp4")
-        console.note("no display: rendering to files instead of a window")
+        console.note(f"{view.why_no_window()}: rendering to files instead of a window")
     if args.png:
         film.save_picture(args.png)
         console.note(f"picture: {args.png}")
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 def _in_window(args: argparse.Namespace) -> bool:
     from tcbi_sim import view
 
-    return not (args.png or args.video) and view.has_display()
+    return not (args.png or args.video) and not view.why_no_window()
 
 
 def _film(args: argparse.Namespace, model: "Model") -> "Film":
