@@ -285,6 +285,24 @@ def test_an_emergency_stop_takes_the_torque_off_until_release_and_reset(start_gr
     assert policy.poses()[0].pose.position.z > min(height) + 0.02
 
 
+def test_an_emergency_stop_and_a_second_graph_show_while_the_clock_stands(start_graph, peer, store):
+    start_graph(sim(store=store))
+    policy = Policy(peer)
+    policy.reset(task="balance", seed=1, duration=1.0)
+
+    def status() -> dict[str, str]:
+        heard = [deserialize_message(m, DiagnosticArray).status[0] for m in policy.raw[names.DIAGNOSTICS][-1:]]
+        return {v.key: v.value for s in heard for v in s.values} | {"message": "".join(s.message for s in heard)}
+
+    assert peer.call(names.EMERGENCY_STOP, Trigger.Request(), Trigger).success
+    peer.wait_until(lambda: status().get("torque") == "emergency stop", "the stop")
+    policy.commands.publish(messages.joint_command(messages.to_stamp(policy.now + 9 * SECOND), [0.0] * 18))
+    peer.wait_until(lambda: status().get("commands refused") == "1", "the refusal of a command of another time")
+    peer.publisher(names.JOINT_STATES, JointState, messages.STREAM_QOS, subscribers=1)
+    peer.wait_until(lambda: "another node publishes" in status()["message"], "the other graph")
+    assert policy.now == policy.start
+
+
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [

@@ -152,6 +152,7 @@ class SimNode(Node):
         self._clock_publisher = self.create_publisher(ClockMessage, names.CLOCK, messages.STREAM_QOS)
         self._publish_clock()
         self.create_timer(min(0.1, self.values.lockstep_timeout_s / 4), self._watch, clock=self._steady)
+        self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._diagnose_while_waiting, clock=self._steady)
 
     def _publish_clock(self) -> None:
         assert self.clock is not None
@@ -189,6 +190,11 @@ class SimNode(Node):
             self._diagnose(f"no command within {self.values.lockstep_timeout_s} s of wall time; the last one is held")
         elif time.monotonic() - self._clock_told > REPEAT_S:
             self._repeat()
+
+    def _diagnose_while_waiting(self) -> None:
+        """Between rollouts the clock may stand for ever; a rollout's own diagnostics come by its own time alone."""
+        if not self._in_episode:
+            self._diagnose()
 
     def _repeat(self) -> None:
         """The present once more, for listeners discovered since: a policy without the first sample never acts.
