@@ -143,6 +143,17 @@ def test_replay_does_not_move_a_robot_that_listens(tmp_path, capsys, peer):
     robot.destroy_node()
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "/driver_node runs in ROS domain" in told and "--drive" in told
+    assert "its joint_commands would move it, its joint_states would mix" in told
+
+
+def test_replay_does_not_speak_in_the_place_of_a_robot_that_runs(tmp_path, capsys, peer):
+    robot = Node("sim_node", context=peer.node.context)
+    for words in (["--topics", "joint_states"], ["--drive"]):
+        assert cli.main(["replay", str(bag(tmp_path / words[0])), *words]) == 1
+        told = capsys.readouterr().err
+        assert told.count("\n") == 1 and "/sim_node runs" in told and "would move" not in told
+        assert "its joint_states would mix with what is measured now" in told and "./tcbi up --robot none" in told
+    robot.destroy_node()
 
 
 def test_collect_names_every_fault_before_it_starts_anything(capsys):

@@ -13,11 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from tcbi_bringup.launcher import NodeProcess
-from tcbi_contract.messages import STREAM_QOS
-from tcbi_contract.names import JOINT_STATES
+from tcbi_contract.messages import LATCHED_QOS, STREAM_QOS
+from tcbi_contract.names import JOINT_STATES, JOINTS, POLICY_STATUS
+from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_measurement
+from tcbi_sim.measurement import Commands, Measurement, Scenario
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(600)]
 TCBI = [sys.executable, "-P", "-m", "tcbi_bringup.cli"]
@@ -117,6 +120,27 @@ def test_a_robot_at_a_port_is_placed_by_hand_and_its_distance_typed_in(call, sta
     measured = read_measurement(told.stdout.strip())
     assert measured.distance == 0.12 and measured.scenario.slope_pitch == pytest.approx(0.1)
     assert up.end() == 0, up.text()
+
+
+def test_a_replay_feeds_a_graph_without_a_robot(call, peer, tmp_path):
+    time = np.arange(100) * 0.02
+    position = np.sin(time)[:, None] * np.ones(18)
+    commands = Commands(np.array([0.0]), np.zeros((1, 18)))
+    scenario = Scenario("balance", float(time[-1]))
+    made = Measurement("made", "hexapod", scenario, "", "driver", commands, JOINTS, (), time, position)
+    bag, copies = write_measurement(tmp_path / "bags", made), tmp_path / "copies"
+    where = ("--store", str(tmp_path / "store"), "--log-dir", str(tmp_path / "log"), "--bags", str(copies))
+    up = call("up", "--robot", "none", "--no-learning", *where)
+    acting = peer.collect(POLICY_STATUS, String, LATCHED_QOS)
+    peer.wait_until(lambda: peer.node.count_subscribers(JOINT_STATES) == 3, "policy, recorder, and up's own look")
+    peer.wait_until(lambda: bool(acting), "the policy")
+    answered("replay", str(bag), "--wait-for", "3")
+    peer.wait_until(lambda: (copies / "made").is_dir(), "the recorder's copy of the rollout")
+    copy = read_measurement(copies / "made")
+    assert (copy.rollout_id, copy.source, len(copy.commands.time)) == ("made", "driver", 1)
+    np.testing.assert_array_equal(copy.joint_position, read_measurement(bag).joint_position)
+    assert up.end() == 0, up.text()
+    assert "sim_node" not in up.text() and "driver_node" not in up.text() and "no robot: ROS domain" in up.text()
 
 
 def test_a_second_up_in_the_same_domain_is_refused_in_one_line(call, tmp_path):

@@ -4,16 +4,17 @@ import fcntl
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from tcbi_bringup.errors import LaunchError, RobotListensError, SecondGraphError
 from tcbi_bringup.graph_monitor import GraphMonitor
-from tcbi_contract.names import CLOCK
+from tcbi_contract.names import CLOCK, FOOT_CONTACTS, IMU, JOINT_COMMANDS, JOINT_STATES, TRACKER_POSE
 
 OWN_NODES = ("sim_node", "driver_node", "policy_node", "recorder_node", "inference_node", "retrain_node")
 ROBOT_NODES = ("sim_node", "driver_node")  # they follow joint_commands
+SENSOR_TOPICS = (JOINT_STATES, IMU, FOOT_CONTACTS, TRACKER_POSE)  # of which a robot is the one publisher
 DISCOVERY_S = 4.0  # what a busy machine was seen to need, and a margin
 DOMAINS = range(0, 233)
 REMEDY = "stop that one, or choose another domain (ROS_DOMAIN_ID=1 ./tcbi up …) or another --namespace"
@@ -92,12 +93,23 @@ def refuse_second_graph(
         time.sleep(0.05)
 
 
-def refuse_to_drive(namespace: str = "", patience_s: float = DISCOVERY_S) -> None:
-    """Look for a robot or a simulation that recorded commands would move, for as long as discovery takes.
+def refuse_beside_robot(
+    topics: Collection[str], namespace: str = "", drive: bool = False, patience_s: float = DISCOVERY_S
+) -> None:
+    """Look for a robot or a simulation that what is played would move or contradict, as long as discovery takes.
+
+    Args:
+      topics: what is played; of no concern are those that are neither commands nor a robot's own.
+      drive: it may be moved.
 
     Raises:
       RobotListensError: there is one.
     """
+    faults = ["its joint_commands would move it"] if JOINT_COMMANDS in topics and not drive else []
+    if recorded := [topic for topic in SENSOR_TOPICS if topic in topics]:
+        faults.append(f"its {', '.join(recorded)} would mix with what is measured now")
+    if not faults:
+        return
     domain_id = present_domain()
     prefix = f"/{namespace}/" if namespace else "/"
     deadline = time.monotonic() + patience_s
@@ -106,9 +118,9 @@ def refuse_to_drive(namespace: str = "", patience_s: float = DISCOVERY_S) -> Non
             found = sorted({prefix + name for name in ROBOT_NODES} & monitor.node_names())
             if found:
                 raise RobotListensError(
-                    f"{found[0]} runs in ROS domain {domain_id}{_in(namespace)}, and the bag's joint_commands would "
-                    "move it; leave them out (--topics joint_states imu/data), choose another domain (ROS_DOMAIN_ID), "
-                    "or mean it (--drive)"
+                    f"{found[0]} runs in ROS domain {domain_id}{_in(namespace)}, and the bag is not played beside it: "
+                    f"{', '.join(faults)}; play it into a graph without a robot (./tcbi up --robot none), in another "
+                    "domain (ROS_DOMAIN_ID), or to move the robot its commands alone (--topics joint_commands --drive)"
                 )
             time.sleep(0.05)
 

@@ -24,7 +24,7 @@ class SecondGraphError(LaunchError):
 
 
 class RobotListensError(BringupError):
-    """Recorded commands would move a robot that listens."""
+    """A recording would move a robot that runs, or speak in its place."""
 
 
 class DemoError(BringupError):

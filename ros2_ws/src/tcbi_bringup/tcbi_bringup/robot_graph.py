@@ -17,7 +17,7 @@ from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.store import LATEST, ModelStore
 from tcbi_sim.tasks import find_task
 
-SIM, EMULATED = "sim", "emulated"
+SIM, EMULATED, NONE = "sim", "emulated", "none"
 AFTER_CRASH = {"needs_reset": True}  # of the driver: an emergency stop must not end with its process
 PORT_S = 20.0  # time an emulated robot has to open its port
 
@@ -28,7 +28,7 @@ class GraphOptions:
 
     Attributes:
       store: folder of models, policies, rollouts and runs.
-      robot: "sim", "emulated", or the serial port of a real robot.
+      robot: "sim", "emulated", the serial port of a real robot, or "none" for what a replay plays.
       task: task of the simulation's terrain at the start; "" for flat ground.
       policy: what acts at first, e.g. "gait:tripod" or a file; "" for the policy node's own default.
       model: model version to simulate, and to compare with.
@@ -72,7 +72,7 @@ class GraphOptions:
     @property
     def simulated_time(self) -> bool:
         """Whether the nodes take their time from `/clock`."""
-        return self.lockstep
+        return self.lockstep or self.robot == NONE
 
     def check(self) -> None:
         """Refuse what does not go together, and a task, a model or a policy that no node could load.
@@ -93,7 +93,10 @@ class GraphOptions:
                 raise LaunchError(
                     f"{option}: got --robot {self.robot}, allowed is emulated; only there is known what is hidden"
                 )
-        if self.robot in (SIM, EMULATED):
+        for option, chosen in (("--task", self.task), ("--seed", self.seed)):
+            if chosen and self.robot == NONE:
+                raise LaunchError(f"{option}: got --robot none, allowed is sim or emulated; a replay has its own")
+        if self.robot in (SIM, EMULATED, NONE):
             for option, value in (
                 ("--sensor-port", self.sensor_port),
                 ("--calibration", self.calibration),
@@ -145,12 +148,14 @@ def _ports_present() -> str:
 
 
 def robot_processes(options: GraphOptions, folder: Path) -> list[NodeProcess]:
-    """The robot's side of the graph.
+    """The robot's side of the graph, nothing where there is none.
 
     Args:
       options: what to start.
       folder: short path of a folder for an emulated robot's port and socket.
     """
+    if options.robot == NONE:
+        return []
     node = partial(NodeProcess, namespace=options.namespace, essential=True)
     driver = partial(node, "hexapod_driver", "driver_node", after_crash=AFTER_CRASH)
     if options.robot == SIM:

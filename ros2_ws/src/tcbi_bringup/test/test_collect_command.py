@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from tcbi_bringup import cli
 from tcbi_bringup.commands import collect
 from tcbi_bringup.errors import BringupError
 
@@ -29,3 +30,8 @@ def test_a_distance_is_a_finite_number_or_unknown(typed, distance, monkeypatch, 
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     assert collect._ask_distance("walk") == pytest.approx(distance, nan_ok=True)
     assert capsys.readouterr().err.count("is no number of metres") == typed.count("\n") - 1
+
+
+def test_nothing_is_collected_without_a_robot(capsys):
+    assert cli.main(["collect", "--robot", "none"]) == 2
+    assert "--robot: got none, allowed is running, sim, emulated or a serial port" in capsys.readouterr().err

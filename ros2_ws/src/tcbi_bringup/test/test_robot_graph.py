@@ -52,6 +52,31 @@ def test_only_a_lockstep_graph_runs_on_simulated_time():
         assert "use_sim_time" not in process.parameters  # the sim node is the clock
 
 
+def test_without_a_robot_all_the_rest_starts_on_simulated_time(tmp_path):
+    alone = GraphOptions(store=tmp_path, robot="none")
+    alone.check()
+    assert robot_processes(alone, Path("run")) == []
+    rest = companion_processes(alone)
+    assert [p.executable for p in rest] == [p.executable for p in companion_processes(options())]
+    assert all(p.parameters["use_sim_time"] is True for p in rest)
+
+
+@pytest.mark.parametrize(
+    ("option", "more"),
+    [
+        ("--lockstep", {"lockstep": True}),
+        ("--hidden", {"hidden": "payload"}),
+        ("--strength", {"strength": "weak"}),
+        ("--task", {"task": "forward"}),
+        ("--seed", {"seed": 1}),
+        ("--baud-rate", {"baud_rate": 115_200}),
+    ],
+)
+def test_what_is_said_of_a_robot_is_refused_where_there_is_none(option, more):
+    with pytest.raises(LaunchError, match=f"^{option}: got --robot none, allowed is "):
+        options(robot="none", **more).check()
+
+
 def test_lockstep_needs_the_simulation():
     with pytest.raises(LaunchError, match="--lockstep: got --robot emulated, allowed is sim"):
         options(robot="emulated", lockstep=True).check()
@@ -80,7 +105,7 @@ def test_a_calibration_that_cannot_be_read_is_refused_before_anything_starts(tmp
         options(robot=str(tmp_path / "bus"), sensor_port=str(tmp_path / "gone")).check()
 
 
-@pytest.mark.parametrize("robot", ["sim", "emulated"])
+@pytest.mark.parametrize("robot", ["sim", "emulated", "none"])
 def test_only_a_real_robot_has_a_calibration_and_a_second_port(robot):
     with pytest.raises(LaunchError, match=f"--calibration: got --robot {robot}"):
         options(robot=robot, calibration="mine.toml").check()

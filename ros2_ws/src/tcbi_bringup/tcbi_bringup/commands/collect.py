@@ -116,6 +116,10 @@ def _graph(args: argparse.Namespace, domain: int) -> Iterator[Callable[[], None]
     """The graph to record from, nothing to do for one that runs; yields what raises if a process of it has failed."""
     if args.realtime and args.robot != "sim":
         raise WrongCallError(f"--realtime: got --robot {args.robot}, allowed is sim; a robot has no other time")
+    if args.robot == "none":
+        raise WrongCallError(
+            "--robot: got none, allowed is running, sim, emulated or a serial port; nothing moves without a robot"
+        )
     if args.robot == "running":
         if args.hidden or args.strength:
             raise WrongCallError(

@@ -24,12 +24,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--wait-for", type=between(0, 100), default=0, metavar="N", help="begin once N nodes listen to joint_states"
     )
     parser.add_argument(
-        "--drive", action="store_true", help="play joint_commands although a robot or a simulation listens: it moves"
+        "--drive",
+        action="store_true",
+        help="with --topics joint_commands: play them although a robot or a simulation listens, which moves",
     )
     parser.add_argument("--no-clock", action="store_true", help="do not publish /clock")
     console.add_examples(
         parser,
         "./tcbi replay rollouts/balance-20261121-004512-s1-003",
+        "./tcbi up --robot none    # in one terminal, then in another: ./tcbi replay walk.mcap",
         "./tcbi replay walk.mcap --rate 10 --wait-for 1 --topics joint_states imu/data",
     )
 
@@ -38,8 +41,7 @@ def run(args: argparse.Namespace) -> int:
     """Check the bag here, where the error is one line, then play."""
     import json
 
-    from tcbi_bringup.domain_lock import refuse_to_drive
-    from tcbi_contract import names
+    from tcbi_bringup.domain_lock import refuse_beside_robot
     from tcbi_contract.wording import counted
     from tcbi_infer.player import schedule
     from tcbi_infer.replay_node import main
@@ -47,8 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
     ask_for_prompt_acks()  # before anything starts the middleware
     plan = schedule(args.bag, tuple(args.topics))
-    if names.JOINT_COMMANDS in plan.topics and not args.drive:
-        refuse_to_drive(args.namespace)
+    refuse_beside_robot(plan.topics, args.namespace, args.drive)
     messages, seconds = counted(len(plan.cues), "message"), (plan.end - plan.start) * 1e-9
     console.note(f"playing {messages} over {seconds:.1f} s at {args.rate:g} times the recorded speed")
     parameters = {

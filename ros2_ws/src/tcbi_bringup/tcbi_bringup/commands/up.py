@@ -11,13 +11,14 @@ from pathlib import Path
 from tcbi_bringup.arguments import at_least, folder_path, namespace, node_parameter
 from tcbi_bringup.commands import console
 
-SUMMARY = "Start the graph of nodes on a simulation, an emulated robot or a real one; Ctrl-C stops all of it."
+SUMMARY = "Start the graph of nodes on a simulation, an emulated robot, a real one or none; Ctrl-C stops all of it."
 INTERRUPTED = 130
+ROBOT = "default: sim; none starts all the rest, on the clock of the ./tcbi replay that feeds it (docs/bags.md)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to start."""
-    parser.add_argument("--robot", default="sim", metavar="sim|emulated|PORT", help="default: sim")
+    parser.add_argument("--robot", default="sim", metavar="sim|emulated|none|PORT", help=ROBOT)
     console.add_task(parser, ": terrain that the simulation starts with")
     parser.add_argument(
         "--policy", default="", help="what acts: a .safetensors file, a policy of the store, or gait:NAME"
@@ -58,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "./tcbi up --robot emulated --hidden payload --strength weak --seed 7",
         "./tcbi up --robot /dev/rfcomm0 --calibration my_robot.toml",
         "./tcbi up --set inference_node.posterior_moved=1.0 --set inference_node.least_rollouts=20",
+        "./tcbi up --robot none --bags replayed     # then, in another terminal: ./tcbi replay BAG",
         "ROS_DOMAIN_ID=7 ./tcbi up --lockstep --task forward",
     )
 
@@ -124,6 +126,7 @@ def watch(graph, monitor, options, title: str, asked: Callable[[], bool]) -> str
     """Show the graph until its end is asked for; returns why it cannot go on, or ""."""
     from tcbi_bringup.expectations import EXPECTATIONS
     from tcbi_bringup.live_view import show
+    from tcbi_bringup.robot_graph import NONE
 
     monitor.watch({expected.topic: expected.type_name for expected in EXPECTATIONS})
     monitor.watch_health()
@@ -138,7 +141,8 @@ def watch(graph, monitor, options, title: str, asked: Callable[[], bool]) -> str
     def look() -> tuple:
         return graph.status(), monitor.rates(), monitor.complaints()
 
-    show(f"{options.robot}: {title}", look, goes_on, options.simulated_time)
+    robot = "no robot" if options.robot == NONE else options.robot
+    show(f"{robot}: {title}", look, goes_on, options.simulated_time)
     for status in graph.status():
         if status.state == "given up" and not status.essential:
             console.note(graph.explain(status))
