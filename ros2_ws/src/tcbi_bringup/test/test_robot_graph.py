@@ -20,6 +20,12 @@ from tcbi_sim.errors import UnknownNameError
 EVERYTHING = {"policy": "gait:tripod", "task": "forward", "namespace": "left"}
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """The store of `options`, which a check makes, is a folder of the test's own."""
+    monkeypatch.chdir(tmp_path)
+
+
 def options(**more) -> GraphOptions:
     return GraphOptions(store=Path("store"), **more)
 
