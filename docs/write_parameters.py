@@ -31,8 +31,8 @@ NODES = {
 }
 HEAD = """# Parameters of the nodes
 
-All are read at the start and refused there in one line if unknown or out of range. Set one of a
-graph with `./tcbi up --set NODE.name=value` (JSON, or plain text for a `str`; several times for several), of a single node with
+All are read at the start and refused there in one line if unknown or out of range. Set one of a graph with
+`./tcbi up --set NODE.name=value` (JSON, or plain text for a `str`; several times for several), of a single node with
 `./tcbi run PACKAGE NODE --ros-args -p name:=value`, or with `ros2 run`. Besides these every node takes `use_sim_time`.
 
 A node ends with exit status 0 on Ctrl-C, with 1 and one line where a user can mend it (a wrong parameter, a device
