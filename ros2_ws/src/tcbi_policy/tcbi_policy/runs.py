@@ -43,6 +43,7 @@ OWN_KINDS = ("effects", "rigs", "tasks")  # of the user's files, that a training
 PACKAGES = ("tcbi_contract", "tcbi_sim", "tcbi_policy")  # whose code it depends on
 LIBRARIES = ("torch", "stable-baselines3", "mujoco", "numpy")
 ERRORS = "errors.log"
+FAILED = "failed"  # the event with which a process says, in `message`, why it cannot go on
 
 
 @dataclass(frozen=True)
@@ -167,6 +168,7 @@ class TrainingProcess:
         )  # fmt: skip
         os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
         self._folder, self._said_before = Path(), 0  # bytes of its log from earlier lives
+        self._fault = ""  # why it cannot go on, in its own words
         self._events: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -187,9 +189,14 @@ class TrainingProcess:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             try:
-                self._events.put(json.loads(line))
+                event = json.loads(line)
             except ValueError:  # a library wrote to standard output
                 sys.stderr.write(line)
+                continue
+            if isinstance(event, dict) and event.get("event") == FAILED:
+                self._fault = event["message"]
+            else:
+                self._events.put(event)
         self._events.put(None)
 
     @property
@@ -228,15 +235,19 @@ class TrainingProcess:
         """Wait for the end of a process that has closed its output.
 
         Raises:
-          TrainingError: it failed, with the last line that it wrote.
+          TrainingError: it failed, with its own words, or the last line of its log where it had none.
         """
         status = self._process.wait()
         if status != 0:
-            log = self._folder / ERRORS
-            said = log.read_bytes()[self._said_before :] if log.exists() else b""
-            lines = said.decode(errors="replace").strip().splitlines()
             how = f"signal {-status}" if status < 0 else f"status {status}"
-            raise TrainingError(f"training ended with {how}: {lines[-1] if lines else 'no message'} (see {log})")
+            raise TrainingError(f"training ended with {how}: {self._fault or self._last_line()}")
+
+    def _last_line(self) -> str:
+        """Of what it has logged in this life, and where the rest is."""
+        log = self._folder / ERRORS
+        said = log.read_bytes()[self._said_before :] if log.exists() else b""
+        lines = said.decode(errors="replace").strip().splitlines()
+        return f"{lines[-1] if lines else 'no message'} (see {log})"
 
     def end(self) -> None:
         """End the process within a second; what it has learnt up to its last checkpoint stays."""

@@ -3,7 +3,8 @@
     echo RUN_FOLDER | python -m tcbi_policy.training_process
 
 The folder holds `run.json` (see runs.py). Standard output carries the events of training.py, one JSON object a line,
-and, where there is a rival, `comparing` and `comparison`, which is kept in the folder, too.
+and, where there is a rival, `comparing` and `comparison`, which is kept in the folder, too. `failed` is the last event
+of a run that cannot go on: a full disk takes no line of a log.
 """
 
 import dataclasses
@@ -25,7 +26,7 @@ from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import Comparison, Evaluation, compare_paired, draw_conditions, evaluate, noisy
 from tcbi_policy.randomisation import divided, randomised
 from tcbi_policy.retraining import OUTCOME
-from tcbi_policy.runs import ERRORS, LOADED, Run, alone
+from tcbi_policy.runs import ERRORS, FAILED, LOADED, Run, alone
 from tcbi_policy.training import Report, Training
 from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
@@ -124,19 +125,36 @@ def main() -> int:
         return 0
     threading.Thread(target=_end_with_the_parent, name="parent", daemon=True).start()
     folder = Path(name)
-    with (folder / ERRORS).open("ab") as errors:
-        os.dup2(errors.fileno(), sys.stderr.fileno())
 
     def report(event: dict[str, Any]) -> None:
         sys.stdout.write(strict_json(event) + "\n")
         sys.stdout.flush()
 
     try:
+        _log_to(folder / ERRORS)
         train_run(folder, report)
-    except TcbiError as error:
-        sys.stderr.write(f"{' '.join(str(error).split())}\n")
+    except BrokenPipeError:  # who asked for it has died
+        return 1
+    except (TcbiError, OSError) as error:
+        report({"event": FAILED, "message": _told(error, folder)})
         return 1
     return 0
+
+
+def _log_to(path: Path) -> None:
+    """Keep in a file what libraries say, and a traceback."""
+    with path.open("ab") as errors:
+        os.dup2(errors.fileno(), sys.stderr.fileno())
+
+
+def _told(error: TcbiError | OSError, folder: Path) -> str:
+    """What was at fault and what to do, in one line."""
+    if isinstance(error, TcbiError):
+        return " ".join(str(error).split())
+    return (
+        f"{error.filename or folder}: {error.strerror or error}; see that there is room on the disk and that it can be "
+        "written; the same training then goes on from its last checkpoint"
+    )
 
 
 def _end_with_the_parent() -> None:

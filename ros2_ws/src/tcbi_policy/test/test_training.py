@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -368,6 +369,41 @@ def test_a_failing_process_tells_its_last_line(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v99", str(tmp_path)))
     with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="hexapod-v99"):
         list(process.events())
+
+
+FULL_DISK = """
+import errno, os
+from pathlib import Path
+
+sync = os.fsync
+
+def full(file):
+    path = Path(os.readlink(f"/proc/self/fd/{file}"))
+    if path.name.startswith(".checkpoint") and (path.parent / "checkpoint.safetensors").exists():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    sync(file)
+
+os.fsync = full
+"""
+
+
+@SUBPROCESS
+def test_a_full_disk_is_told_and_the_training_goes_on_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train(tmp_path / "whole")
+    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0", str(tmp_path)))
+    (tmp_path / "sitecustomize.py").write_text(FULL_DISK)
+    words = f"status 1: {folder}: No space left on device; see that there is room"
+    with monkeypatch.context() as patch:
+        patch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+        with TrainingProcess(folder) as process, pytest.raises(TrainingError, match=re.escape(words)):
+            list(process.events())
+    assert not (folder / "errors.log").read_bytes(), "what is told needs no room on the disk"
+    with TrainingProcess(folder) as process:
+        events = list(process.events())
+    assert events[0]["event"] == "resumed"
+    assert load_policy(Path(events[-1]["policy"])).card.sha256 == whole.card.sha256
 
 
 def test_a_process_that_stands_by_ends_with_its_owner() -> None:
