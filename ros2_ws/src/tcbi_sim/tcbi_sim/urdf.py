@@ -1,10 +1,11 @@
 """A URDF of a rig, made from the compiled MuJoCo model, so that RViz and Foxglove draw what is simulated.
 
-One link per body, one revolute joint per hinge, one fixed frame per site; inertials, collision shapes and joint limits
-are those of the model. Links stand where MuJoCo puts the bodies: frames are body frames, moved to the hinge's anchor
-where the two differ. MuJoCo capsules become a cylinder and two spheres, since URDF has no capsule.
+One link per body, one revolute joint per hinge, one fixed frame per site; inertials and collision shapes are those of
+the model, joint limits the range of the commands, which ends before the model's mechanical stops. Links stand where
+MuJoCo puts the bodies: frames are body frames, moved to the hinge's anchor where the two differ. MuJoCo capsules become
+a cylinder and two spheres, since URDF has no capsule.
 
-    text = urdf(spec.compile(), "hexapod", velocity=5.0)
+    text = urdf(spec.compile(), "hexapod", velocity=5.0, reach=math.pi / 6)
 """
 
 import xml.etree.ElementTree as ET
@@ -28,7 +29,7 @@ class DescriptionError(SimError):
     """The rig holds something that a URDF cannot say."""
 
 
-def urdf(model: mujoco.MjModel, name: str, velocity: float, root: str | None = None) -> str:
+def urdf(model: mujoco.MjModel, name: str, velocity: float, root: str | None = None, reach: float = np.inf) -> str:
     """The URDF of the tree below a top-level body.
 
     Args:
@@ -36,6 +37,7 @@ def urdf(model: mujoco.MjModel, name: str, velocity: float, root: str | None = N
       name: of the robot.
       velocity: rad/s, the joints' speed limit, which a MuJoCo model does not hold.
       root: name of a child of the world; by default the body with the free joint, or the first one.
+      reach: rad either side of zero that joints are commanded to, where the model's own limits lie behind it.
 
     Raises:
       DescriptionError: a body has joints other than one hinge, a shape that URDF lacks, or no name.
@@ -51,7 +53,7 @@ def urdf(model: mujoco.MjModel, name: str, velocity: float, root: str | None = N
         _inertial(link, model, body)
         _shapes(link, model, body)
         if body != top or not floating:
-            _joint(robot, model, body, velocity)
+            _joint(robot, model, body, velocity, reach)
     for site in range(model.nsite):
         if model.site_bodyid[site] in bodies:
             _frame(robot, model, site)
@@ -62,7 +64,7 @@ def urdf(model: mujoco.MjModel, name: str, velocity: float, root: str | None = N
 def describe_rig(name: str) -> str:
     """The URDF of a built-in rig at its nominal parameters."""
     rig = load_rig(name)
-    return urdf(rig.build(0).compile(), rig.name, rig.speed_limit)
+    return urdf(rig.build(0).compile(), rig.name, rig.speed_limit, reach=rig.joint_range)
 
 
 def _root(model: mujoco.MjModel, root: str | None) -> int:
@@ -96,7 +98,7 @@ def _anchor(model: mujoco.MjModel, body: int) -> np.ndarray:
     return np.array(model.jnt_pos[model.body_jntadr[body]]) if model.body_jntnum[body] else np.zeros(3)
 
 
-def _joint(robot: ET.Element, model: mujoco.MjModel, body: int, velocity: float) -> None:
+def _joint(robot: ET.Element, model: mujoco.MjModel, body: int, velocity: float, reach: float) -> None:
     hinge, parent = _hinge(model, body), int(model.body_parentid[body])
     name = f"{model.body(body).name}_fixed" if hinge is None else _name(model.joint(hinge).name, "joint", hinge)
     element = ET.SubElement(robot, "joint", name=name, type="fixed" if hinge is None else "revolute")
@@ -109,6 +111,7 @@ def _joint(robot: ET.Element, model: mujoco.MjModel, body: int, velocity: float)
         return
     ET.SubElement(element, "axis", xyz=_text(model.jnt_axis[hinge]))
     lower, upper = model.jnt_range[hinge] if model.jnt_limited[hinge] else (-np.pi, np.pi)
+    lower, upper = max(lower, -reach), min(upper, reach)
     limit = {"lower": lower, "upper": upper, "effort": _effort(model, hinge), "velocity": velocity}
     ET.SubElement(element, "limit", {key: f"{value:.9g}" for key, value in limit.items()})
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tcbi_contract.names import IMU_FRAME, JOINTS, LEGS
+from tcbi_contract.names import IMU_FRAME, JOINT_LIMIT, JOINTS, LEGS
 from tcbi_sim.rigs import load_rig
-from tcbi_sim.urdf import DescriptionError, urdf
+from tcbi_sim.urdf import DescriptionError, describe_rig, urdf
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def model() -> mujoco.MjModel:
 
 @pytest.fixture(scope="module")
 def robot(model: mujoco.MjModel) -> ET.Element:
-    return ET.fromstring(urdf(model, "hexapod", velocity=6.0))
+    return ET.fromstring(urdf(model, "hexapod", velocity=6.0, reach=JOINT_LIMIT))
 
 
 def origin(element: ET.Element) -> np.ndarray:
@@ -104,11 +104,17 @@ def test_joints_bear_the_contracts_names_limits_and_strength(model, robot):
     assert tuple(joint.get("name") for joint in revolute) == JOINTS
     for joint in revolute:
         limit = joint.find("limit")
-        np.testing.assert_allclose(
-            [float(limit.get("lower")), float(limit.get("upper"))], model.joint(joint.get("name")).range
-        )
+        assert [float(limit.get(end)) for end in ("lower", "upper")] == pytest.approx([-JOINT_LIMIT, JOINT_LIMIT])
         assert float(limit.get("effort")) == pytest.approx(model.actuator(joint.get("name")).forcerange[1])
         assert float(limit.get("velocity")) == 6.0
+
+
+@pytest.mark.parametrize("rig", ["hexapod", "servo_bench"])
+def test_a_rig_is_described_with_the_range_of_its_commands(rig):
+    limits = [joint.find("limit") for joint in ET.fromstring(describe_rig(rig)).iter("joint")]
+    ends = [[float(limit.get(end)) for end in ("lower", "upper")] for limit in limits if limit is not None]
+    reach = load_rig(rig).joint_range
+    np.testing.assert_allclose(ends, [[-reach, reach]] * len(load_rig(rig).joint_names))
 
 
 def test_every_solid_geom_has_a_collision_shape_of_its_size(model, robot):
