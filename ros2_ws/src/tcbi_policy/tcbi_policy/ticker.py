@@ -12,8 +12,8 @@ clock but the steady one, for silence.
     tick = ticker.due(needs_attitude=True)        # a Tick, or None
     reason = ticker.silence(True, wall)           # why the motion must stop, or ""
 
-Late or missing data stop the motion: `due` raises `SensorLoss`, and nothing is due until the next `enable`. A simulation
-that is reset starts the ticks anew; in simulated time that is known from a gap by where the stamps go on.
+Late or missing data stop the motion: `due` raises `SensorLoss`, and nothing is due until the next `enable`. A
+simulation that is reset starts the ticks anew; in simulated time that is known from a gap by where the stamps go on.
 """
 
 from collections import deque
