@@ -1,6 +1,6 @@
 """What a collection asks of the other nodes: to reset and place the robot, to load a policy, to switch it on and off.
 
-Coroutines of rclpy; patience is wall time.
+Coroutines of rclpy (needs ROS); patience is wall time.
 """
 
 import math
