@@ -25,6 +25,9 @@ from tcbi_contract.safety import CommandRefused, Mode, Move, Safety
 
 POLL_S = 0.01
 READ_PERIOD_S = 1 / SENSOR_RATE_HZ
+# joints are measured so long after the multiples of the period, hence after each control tick, which the policy notices
+# by the next sample: close behind it, yet far enough that no jitter brings a sample to the tick's other side
+READ_PHASE_S, PHASE_GAIN = 0.005, 0.1
 HEALTH_PERIOD_S = 1.0
 TORQUE_CHECK_S = 0.5
 STREAM_RETRY_S = 0.2
@@ -276,6 +279,7 @@ class Robot:
             self.health.incomplete_reads += 1
             return
         position = tuple(self._calibration.to_radian(name, sound[servo]) for servo, name in self._names.items())
+        self._read_timer.shift(-PHASE_GAIN * _out_of_phase(reply.stamp_ns))
         self._safety.measured(time.monotonic() - self.wire.age_s(reply.stamp_ns), position)
         self.health.joint_readings += 1
         self._sink(JointReading(reply.stamp_ns, position))
@@ -387,3 +391,9 @@ class Robot:
 def _speed(steps: int, duration_s: float) -> int:
     """Steps/s that make a ramp last `duration_s`; never 0, which a servo takes for as fast as it can."""
     return min(max(round(abs(steps) / duration_s), 1), 32767)
+
+
+def _out_of_phase(stamp_ns: int) -> float:
+    """By how much (s) a joint reading is late, of half a period at most; negative if it is early."""
+    half = READ_PERIOD_S / 2
+    return (stamp_ns * 1e-9 - READ_PHASE_S + half) % READ_PERIOD_S - half
