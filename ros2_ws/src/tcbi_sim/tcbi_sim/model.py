@@ -97,7 +97,7 @@ class Model:
         if not self.joint_gains:
             return "alike"
         joints, gains = load_rig(self.rig).joint_names, np.array(self.joint_gains)
-        low, high = int(gains.argmin()), int(gains.argmax())
+        low, high = int(np.argmin(gains)), int(np.argmax(gains))
         return f"{gains[low]:.2f} ({joints[low]}) to {gains[high]:.2f} ({joints[high]})"
 
     @property
