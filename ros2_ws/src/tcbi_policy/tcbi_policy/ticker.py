@@ -1,9 +1,9 @@
 """When the policy acts, and on which samples: driven by the stamps of the sensor data alone.
 
 Ticks lie on the multiples of 0.2 s of ROS time. The tick at time t is due as soon as joint angles (and the attitude,
-if the policy needs it) with a stamp of t or later have arrived, and uses the newest ones in [t - 0.1 s, t]. So the same
-stamps give the same commands, live at any speed, in lockstep and in a replay; nothing here knows ROS or looks at a
-clock but the steady one, for silence.
+if the policy needs it) with a stamp of t or later have arrived, and takes the values at t between the samples at its
+sides. So the same stamps give the same commands, live at any speed, in lockstep and in a replay; nothing here knows ROS
+or looks at a clock but the steady one, for silence.
 
     ticker = Ticker(sim_time=False, timeout_s=0.4)
     ticker.enable(wall)
@@ -47,8 +47,9 @@ class Tick:
 class Stream:
     """The newest samples of one sensor."""
 
-    def __init__(self, name: str):
+    def __init__(self, name: str, unit: bool = False):
         self.name = name
+        self._unit = unit  # of unit quaternions
         self.arrived: float | None = None  # steady s of the last arrival
         self._samples: deque[tuple[int, np.ndarray]] = deque(maxlen=DEPTH)
 
@@ -64,10 +65,20 @@ class Stream:
             self._samples.append((stamp, values))
 
     def at(self, time: int) -> np.ndarray | None:
-        """The newest sample in [time - 0.1 s, time]."""
+        """The values at a time, between the samples at its sides; where these are far apart, those of the older.
+
+        None where there is none in the tenth of a second before.
+        """
+        behind: tuple[int, np.ndarray] | None = None
         for stamp, values in reversed(self._samples):
-            if stamp <= time:
-                return values if stamp >= time - MAX_AGE else None
+            if stamp > time:
+                behind = stamp, values
+            elif stamp < time - MAX_AGE:
+                break
+            elif stamp == time or behind is None or behind[0] - stamp > MAX_AGE:
+                return values
+            else:
+                return _between(values, behind[1], (time - stamp) / (behind[0] - stamp), self._unit)
         return None
 
     def age(self, time: int) -> str:
@@ -95,7 +106,7 @@ class Ticker:
         self.missed = 0
         self._sim_time = sim_time
         self._timeout = timeout_s
-        self._joints, self._attitude = Stream("joint_states"), Stream("imu/data")
+        self._joints, self._attitude = Stream("joint_states"), Stream("imu/data", unit=True)
         self._earliest = 0
         self._first: int | None = None
         self._next: int | None = None
@@ -228,6 +239,14 @@ class Ticker:
 
     def _stuck_on_attitude(self) -> bool:
         return self._joints.newest is not None and (self._attitude.newest or 0) < self._joints.newest
+
+
+def _between(first: np.ndarray, second: np.ndarray, share: float, unit: bool) -> np.ndarray:
+    """Values on the line between two samples; of unit quaternions on the arc, near enough."""
+    if unit and first @ second < 0.0:
+        second = -second
+    values = first + share * (second - first)
+    return values / np.linalg.norm(values) if unit else values
 
 
 def _reset_follows(newest: int, stamp: int) -> bool:
