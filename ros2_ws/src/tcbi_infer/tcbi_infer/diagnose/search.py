@@ -174,17 +174,15 @@ class Search:
 
     def _promising(self, starts: Mapping[int, np.ndarray], others: Fits) -> list[int]:
         """Uses whose (n, P) starts explain enough of a few sets to be fitted to all."""
-        gains = {u: self._gain_on_few(self.screen.directions.models[u], units) for u, units in starts.items()}
-        known = [self._gain_on_few(rough.model, rough.unit) for rough, _ in others.values()]
-        best = max([*gains.values(), *known], default=0.0)
-        return [u for u, gain in gains.items() if gain >= UNPROMISING * best or best < LEAST_WORTH]
-
-    def _gain_on_few(self, model: Model, units: np.ndarray) -> float:
-        """Nats that the best of (n, P) parameters of a model explains of a few sets beyond the base model's fit."""
         none = np.zeros(len(self.base.nuisance))
-        return min(self._losses_on_few(self.base.model, self.base.unit, none)) - min(
-            self._losses_on_few(model, units, none)
-        )
+        without = min(self._losses_on_few(self.base.model, self.base.unit, none))
+
+        def gain(model: Model, units: np.ndarray) -> float:
+            return without - min(self._losses_on_few(model, units, none))
+
+        gains = {u: gain(self.screen.directions.models[u], units) for u, units in starts.items()}
+        best = max([*gains.values(), *(gain(rough.model, rough.unit) for rough, _ in others.values())], default=0.0)
+        return [u for u, nats in gains.items() if nats >= UNPROMISING * best or best < LEAST_WORTH]
 
     def _losses_on_few(
         self, model: Model, units: np.ndarray, nuisance: np.ndarray, scatter: Nuisance | None = None
