@@ -1,7 +1,8 @@
 """Real time for a simulation that makes one sample every period: how many are due, and with which stamps.
 
-Stamps lie on an exact grid, since each sample is of a known simulated time; only their delivery jitters. If the machine
-was held up for long, or somebody moved the clock, the grid jumps forward once: the simulation does not race after it.
+Stamps lie on the multiples of the period, since each sample is of a known simulated time; only their delivery jitters.
+So the control ticks are among them, in every rollout alike. If the machine was held up for long, or somebody moved the
+clock, they jump forward once: the simulation does not race after it.
 
     pacer = Pacer(period_ns=20_000_000)
     pacer.restart(steady_ns, ros_ns)
@@ -62,6 +63,7 @@ class Pacer:
         return 1e-9 * min(max(behind, 0), self._period)
 
     def _begin(self, steady: int, stamp: int) -> int:
-        self._steady0, self._count = steady, 0
-        self._offset, self._last = stamp - steady, stamp
-        return stamp
+        ahead = -stamp % self._period
+        self._steady0, self._count = steady + ahead, 0
+        self._offset, self._last = stamp - steady, stamp + ahead
+        return self._last

@@ -66,10 +66,11 @@ def test_stamps_rise_between_resets_and_fall_there_only_to_a_clock_that_was_set_
         ros = 10**18 + steady + shift
         if reset:
             stamp = pacer.restart(steady, ros)
-            assert stamp > last or stamp == ros
+            assert stamp > last or 0 <= stamp - ros < PERIOD
+            assert stamp % PERIOD == 0
             last = stamp
         for stamp in stamps(pacer, steady, ros):
-            assert stamp > last
+            assert stamp > last and stamp % PERIOD == 0
             last = stamp
 
 
