@@ -1,11 +1,13 @@
 """A driver's link to a robot, without its node."""
 
+import threading
 import time
 
 from hexapod_driver import calibration
 from hexapod_driver.link import Link, LinkSettings
 from hexapod_driver.posture import PostureGoal
 from hexapod_driver.readings import BoardReading, JointReading
+from hexapod_driver.status import Status, statuses
 from tcbi_contract.safety import Limits
 
 ZERO = (0.0,) * 18
@@ -52,3 +54,34 @@ class Driver:
 
     def release(self) -> None:
         self.link.release(lambda success, text: self.answers.append((success, text)))
+
+
+class Commander:
+    """Commands five times a second from a thread of its own, as a policy that never gives up."""
+
+    def __init__(self, driver: Driver, target=ZERO) -> None:
+        self.target = target
+        self.last_s = 0.0  # when it last commanded, on the steady clock
+        self._driver, self._stop = driver, threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        while not self._stop.wait(0.1):
+            self._command()
+
+    def _command(self) -> None:
+        self.last_s = time.monotonic()
+        self._driver.command(self.target)
+
+    def __enter__(self) -> "Commander":
+        self._command()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+def safety_status(driver: Driver) -> Status:
+    return statuses(driver.link, 0, "")[-1]
