@@ -1,4 +1,4 @@
-"""The driver's link against the emulated electronics: readings, commands, resets, and a link that is lost or disturbed."""
+"""The driver's link against the emulated electronics: readings, commands, resets, a link that is lost or disturbed."""
 
 import time
 
