@@ -4,12 +4,14 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 from tcbi_setup import workspace
 from tcbi_setup.indexes import pip_settings, uv_environment
 from tcbi_setup.layout import (
     BOOT,
     CUDA_LOCK,
+    FETCHED_PYTHON,
     LOCK,
     PIP_VENV,
     PRIVATE,
@@ -27,6 +29,8 @@ from tcbi_setup.progress import run, say
 from tcbi_setup.wheels import patch_cmake_files
 
 UV_VERSION = "0.13.8"
+FITTING = ((3, 11), (3, 13))  # what the ROS wheels exist for
+FETCHED = "3.12"  # where the machine has none of them; Jazzy's own
 PROBE_TIMEOUT_S = 30
 SPACE_GB = {"cpu": 4.0, "cuda": 12.0}
 CUDA_SIZE = "2 GB to fetch, 5 GB on disk"
@@ -58,7 +62,7 @@ def install(torch: str) -> bool:
     (STATE / "environment").unlink(missing_ok=True)
     if not PYTHON.exists():
         workspace.forget()
-        run("making .venv", [uv, "venv", "--python", sys.executable, VENV], environment, "remove .venv and call again")
+        _make(uv, environment)
     arguments, size = _torch_arguments(torch, environment)
     _check_space(size)
     options = ["--python", str(PYTHON), "--no-deps", "--build-constraints", str(LOCK)]
@@ -69,6 +73,23 @@ def install(torch: str) -> bool:
     write(STATE / "torch", torch)
     (STATE / "installing").unlink()
     return True
+
+
+def _make(uv: Path, environment: dict[str, str]) -> None:
+    """The empty environment: of the interpreter that runs this, or where no wheels exist for it, of one that uv fetches."""
+    lowest, highest = FITTING
+    if lowest <= sys.version_info[:2] <= highest:
+        command = [uv, "venv", "--python", sys.executable, VENV]
+        run("making .venv", command, environment, "remove .venv and call again")
+        return
+    own = ".".join(str(part) for part in sys.version_info[:2])
+    say(f"the ROS wheels are for Python 3.11 to 3.13 and this machine has {own}: fetching {FETCHED} (30 MB) into .tcbi")
+    command = [uv, "venv", "--managed-python", "--python", FETCHED, VENV]
+    remedy = (
+        f"check the network, or get Python {FETCHED} yourself (on Ubuntu from ppa:deadsnakes/ppa: python{FETCHED} "
+        f"python{FETCHED}-venv python{FETCHED}-dev; else pyenv or conda) and call TCBI_PYTHON=/path/to/python{FETCHED} ./tcbi"
+    )
+    run(f"fetching Python {FETCHED}", command, {"UV_PYTHON_INSTALL_DIR": str(FETCHED_PYTHON), **environment}, remedy)
 
 
 def _discard_unfinished() -> None:
@@ -83,7 +104,7 @@ def _discard_unfinished() -> None:
 
 
 def _is_usable() -> bool:
-    check = "import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))"
+    check = f"import sys; sys.exit(not {FITTING[0]} <= sys.version_info[:2] <= {FITTING[1]})"
     try:
         return subprocess.run([PYTHON, "-I", "-S", "-c", check], check=False).returncode == 0
     except OSError:

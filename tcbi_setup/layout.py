@@ -14,6 +14,7 @@ PRIVATE = ROOT / ".tcbi"
 STATE = PRIVATE / "state"
 BOOT = PRIVATE / "boot"
 PIP_VENV = PRIVATE / "pip"
+FETCHED_PYTHON = PRIVATE / "python"
 LOG = PRIVATE / "log" / "setup.log"
 SOURCE = ROOT / "ros2_ws" / "src"
 WORKSPACE = PRIVATE / "ws"  # apart from ros2_ws/{build,install}, which belong to a plain `colcon build`

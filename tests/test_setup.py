@@ -52,22 +52,36 @@ def test_all_that_is_missing_is_named_at_once_with_its_remedy(bare_checkout):
     assert len(result.stderr.strip().splitlines()) == 1
 
 
-def test_a_machine_without_a_fitting_python_is_told_so(bare_checkout):
+def test_an_interpreter_that_was_asked_for_and_does_not_fit_is_refused(bare_checkout):
     result = call(bare_checkout, BASICS, TCBI_PYTHON="python9.9")
     assert result.returncode == 1
-    assert "Python 3.11, 3.12 or 3.13" in result.stderr and "TCBI_PYTHON=python9.9" in result.stderr
+    assert "TCBI_PYTHON=python9.9 is not 3.11, 3.12 or 3.13" in result.stderr
 
 
-def test_where_no_python_fits_the_remedy_is_a_version_that_does(bare_checkout):
+def test_a_machine_without_a_python_is_told_which_packages_to_get(bare_checkout):
     old = bare_checkout.parent / "bin" / "python3"
     old.parent.mkdir()
     old.write_text("#!/bin/sh\nexit 1\n")  # as one does that does not fit
     old.chmod(0o755)
     result = call(bare_checkout, BASICS)
     assert result.returncode == 1
-    packages, elsewhere = result.stderr.strip().splitlines()
-    assert "sudo apt install python3.12 python3.12-venv python3.12-dev g++" in packages
-    assert "ppa:deadsnakes/ppa" in elsewhere and "uv python install 3.12" in elsewhere and "TCBI_PYTHON=" in elsewhere
+    assert "Python 3.11 or newer" in result.stderr
+    assert "sudo apt install python3 python3-venv python3-dev g++" in result.stderr
+
+
+def test_a_newer_python_alone_is_enough_to_fetch_one_that_the_wheels_are_for(bare_checkout, tmp_path, monkeypatch):
+    monkeypatch.setattr(environment, "FITTING", ((3, 8), (3, 9)))
+    commands = []
+    monkeypatch.setattr(environment, "run", lambda step, command, variables, remedy: commands.append((command, variables)))
+    environment._make(Path("uv"), {"PATH": "here"})
+    ((command, variables),) = commands
+    assert command[:5] == [Path("uv"), "venv", "--managed-python", "--python", "3.12"]
+    assert variables == {"PATH": "here", "UV_PYTHON_INSTALL_DIR": str(layout.FETCHED_PYTHON)}
+    newer = bare_checkout.parent / "bin" / "python3"
+    newer.parent.mkdir()
+    newer.write_text(f'#!/bin/sh\ncase "$2" in *"(3, 13)"*) exit 1 ;; esac\nexec {sys.executable} "$@"\n')
+    newer.chmod(0o755)
+    assert "missing on this machine: g++, cmake, make;" in call(bare_checkout, BASICS).stderr
 
 
 def test_an_unknown_build_of_torch_is_refused(bare_checkout):
