@@ -79,7 +79,7 @@ def _make(uv: Path, environment: dict[str, str]) -> None:
     """The empty environment: of the interpreter that runs this, or where no wheels exist for it, of one that uv fetches."""
     lowest, highest = FITTING
     if lowest <= sys.version_info[:2] <= highest:
-        command = [uv, "venv", "--python", sys.executable, VENV]
+        command: list[str | Path] = [uv, "venv", "--python", sys.executable, VENV]
         run("making .venv", command, environment, "remove .venv and call again")
         return
     own = ".".join(str(part) for part in sys.version_info[:2])
@@ -87,7 +87,7 @@ def _make(uv: Path, environment: dict[str, str]) -> None:
     command = [uv, "venv", "--managed-python", "--python", FETCHED, VENV]
     remedy = (
         f"check the network, or get Python {FETCHED} yourself (on Ubuntu from ppa:deadsnakes/ppa: python{FETCHED} "
-        f"python{FETCHED}-venv python{FETCHED}-dev; else pyenv or conda) and call TCBI_PYTHON=/path/to/python{FETCHED} ./tcbi"
+        f"python{FETCHED}-venv python{FETCHED}-dev; else pyenv or conda) and call with TCBI_PYTHON=/path/to/it"
     )
     run(f"fetching Python {FETCHED}", command, {"UV_PYTHON_INSTALL_DIR": str(FETCHED_PYTHON), **environment}, remedy)
 

@@ -72,7 +72,9 @@ def test_a_machine_without_a_python_is_told_which_packages_to_get(bare_checkout)
 def test_a_newer_python_alone_is_enough_to_fetch_one_that_the_wheels_are_for(bare_checkout, tmp_path, monkeypatch):
     monkeypatch.setattr(environment, "FITTING", ((3, 8), (3, 9)))
     commands = []
-    monkeypatch.setattr(environment, "run", lambda step, command, variables, remedy: commands.append((command, variables)))
+    monkeypatch.setattr(
+        environment, "run", lambda step, command, variables, remedy: commands.append((command, variables))
+    )
     environment._make(Path("uv"), {"PATH": "here"})
     ((command, variables),) = commands
     assert command[:5] == [Path("uv"), "venv", "--managed-python", "--python", "3.12"]

@@ -132,7 +132,7 @@ class GraphOptions:
 
     def _check_ports(self) -> None:
         for option, port in (("--robot", self.robot), ("--sensor-port", self.sensor_port)):
-            simulated = "sim, emulated, or " if option == "--robot" else ""
+            simulated = "sim, emulated, none, or " if option == "--robot" else ""
             if port and not Path(port).exists():
                 raise LaunchError(
                     f"{option}: got {port!r}, allowed is {simulated}a serial port that exists; {_ports_present()}; "

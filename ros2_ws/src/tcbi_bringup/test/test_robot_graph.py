@@ -122,7 +122,9 @@ def test_only_a_real_robot_has_a_calibration_and_a_second_port(robot):
 
 
 def test_a_port_that_is_not_there_is_named_with_what_is(tmp_path):
-    with pytest.raises(LaunchError, match=r"got '.*nothing', allowed is sim, emulated, or a serial port.*present"):
+    with pytest.raises(
+        LaunchError, match=r"got '.*nothing', allowed is sim, emulated, none, or a serial port.*present"
+    ):
         options(robot=str(tmp_path / "nothing")).check()
 
 

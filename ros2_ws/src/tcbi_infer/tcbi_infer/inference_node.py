@@ -6,44 +6,34 @@ enough since the last training.
 """
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from tcbi_contract import messages, names
 from tcbi_contract.errors import TcbiError
-from tcbi_contract.goals import SentGoal
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_contract.wording import counted
 from tcbi_infer.diagnose import adopt
+from tcbi_infer.diagnose_server import DiagnoseServer
 from tcbi_infer.earlier_fit import newest_fit, posterior_of
 from tcbi_infer.inference_worker import DIAGNOSE, INFER, Job
-from tcbi_infer.messages import diagnosis_message, model_error_message, number, posterior_message
+from tcbi_infer.messages import model_error_message, number, posterior_message
 from tcbi_infer.rollout_folder import RolloutFolder
+from tcbi_infer.training_client import TrainingClient
 from tcbi_infer.worker_process import Worker
-from tcbi_msgs.action import Diagnose, Retrain
-from tcbi_msgs.msg import Diagnosis, ModelError, Posterior, RolloutEvent
+from tcbi_msgs.action import Diagnose
+from tcbi_msgs.msg import ModelError, Posterior, RolloutEvent
 from tcbi_msgs.srv import AddEffect, LoadModel
 from tcbi_sim.model import Model
 from tcbi_sim.store import LATEST, ModelStore
-
-DIAGNOSIS_POLL_S = 0.1
-ENDING_S = 6.0  # for a diagnosis to end with the node
-BUSY_S = 10.0  # before a busy retrain server is asked again
-FOLLOW_S = 0.5  # between two looks at a training
-ASK_AGAIN_S = 4.0  # without feedback, for a training's end
-GONE_S = 5.0  # without the retrain server, until its training is given up
 
 
 @dataclass(frozen=True)
@@ -91,38 +81,27 @@ class InferenceNode(Node):
         self._worker: Worker | None = None
         self._inferred: set[Path] = set()  # bags fitted in an inference
         self._wanted = False  # an inference is due whatever the number of rollouts
-        self._trained_on = self._store.load(self._model).version
         self._news: dict[str, Any] = {}
         self._warned: set[str] = set()  # each inference reads all bags again and says the same of them
         self._state, self._fault = "waiting for rollouts", ""
-        self._diagnosing = self._closing = False
-        self._training: SentGoal | None = None
-        self._served = 0.0  # s of the steady clock, when the retrain server was last there
-        self._wish: Retrain.Goal | None = None  # for a training; a later one takes its place
-        self._ask_after = 0.0  # s of the steady clock
         self._open()
         self._take_up()
 
     def _open(self) -> None:
-        own, rest = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        rest = MutuallyExclusiveCallbackGroup()
         self._posterior = self.create_publisher(Posterior, names.POSTERIOR, messages.LATCHED_QOS)
         self._running = self.create_publisher(Posterior, names.POSTERIOR_PROGRESS, messages.STREAM_QOS)
         self._error = self.create_publisher(ModelError, names.MODEL_ERROR, messages.LATCHED_QOS)
-        self._diagnosis = self.create_publisher(Diagnosis, names.DIAGNOSIS, messages.LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
         self.create_subscription(
             RolloutEvent, names.ROLLOUT_EVENT, self._on_event, messages.LATCHED_QOS, callback_group=rest
         )
         self.create_service(LoadModel, names.INFERENCE_LOAD_MODEL, self._on_load, callback_group=rest)
         self.create_service(AddEffect, names.ADD_EFFECT, self._on_add, callback_group=rest)
-        self._retrain = ActionClient(self, Retrain, names.RETRAIN, callback_group=rest)
-        self._server = ActionServer(
-            self, Diagnose, names.DIAGNOSE, self._on_diagnose, callback_group=own,
-            goal_callback=self._on_goal, cancel_callback=lambda _: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        self._training = TrainingClient(self, self.values, self._store.load(self._model).version, rest)
+        self._diagnose = DiagnoseServer(self, self._job, lambda: self._worker is None, self._warn)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self.values.poll_s, self._on_poll, clock=steady, callback_group=rest)
-        self.create_timer(FOLLOW_S, self._see_to_training, clock=steady, callback_group=rest)
         self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._report, clock=steady, callback_group=rest)
         self.get_logger().info(f"watches {self._folder.path}, model {self._model}")
 
@@ -169,7 +148,7 @@ class InferenceNode(Node):
 
     def _due(self) -> bool:
         fitted = set(self._folder.fitted)
-        if self._diagnosing or len(fitted) < self.values.least_rollouts:
+        if self._diagnose.runs or len(fitted) < self.values.least_rollouts:
             return False
         return self._wanted or len(fitted - self._inferred) >= self.values.new_rollouts or not fitted & self._inferred
 
@@ -179,7 +158,7 @@ class InferenceNode(Node):
         self._wanted = False
         job = Job(
             INFER, str(self._store.root), self._model, _texts(fitted), _texts(self._folder.held_out),
-            self._trained_on, v.method, v.particles, v.generations, v.seed, v.threads,
+            self._training.trained_on, v.method, v.particles, v.generations, v.seed, v.threads,
         )  # fmt: skip
         self._worker, self._fault, self._news = Worker(job), "", {}
         self._state = f"inferring from {counted(len(fitted), 'rollout')}"
@@ -222,65 +201,9 @@ class InferenceNode(Node):
         self._state = f"waiting for {self.values.new_rollouts} more rollouts"
         if self._model != LATEST:
             self._model = self._news["posterior"]["model"]
-        self._consider_training()
-
-    # -- training -------------------------------------------------------------------------------------------------
-
-    def _consider_training(self) -> None:
-        found = self._news["posterior"]
-        fall = 1 - self._news.get("after", math.nan) / self._news.get("before", math.nan)
-        why = []
-        if found["moved"] >= self.values.posterior_moved:
-            why.append(f"the posterior moved by {found['moved']:.2g} standard deviations")
-        if fall >= self.values.error_fell:
-            why.append(f"the error on held-out rollouts fell by {fall:.0%}")
-        if not why or not self.values.retrain:
-            return
-        if "+" in found["task"]:
-            self.get_logger().warning(f"{' and '.join(why)}, but no training is asked for: rollouts of several tasks")
-            return
-        self._wish = Retrain.Goal(task=found["task"], model=found["model"], budget_s=self.values.retrain_budget_s)
-        self._wish.seed = self.values.seed
-        self.get_logger().info(f"wants a training on {found['model']}: {' and '.join(why)}")
-        if not self._retrain.server_is_ready():
-            self.get_logger().warning("no retrain server runs; it is asked as soon as one does")
-
-    def _see_to_training(self) -> None:
-        """Follow the training that runs; without one, send the last wish once a server is there."""
-        if self._training is not None:
-            self._follow(self._training)
-        elif self._wish is not None and time.monotonic() >= self._ask_after and self._retrain.server_is_ready():
-            goal, self._wish = self._wish, None
-            self.get_logger().info(f"asks for a training on {goal.model}")
-            self._training, self._served = SentGoal(self._retrain, Retrain, goal), time.monotonic()
-
-    def _follow(self, training: SentGoal) -> None:
-        """Take a training's end, or notice that its server has been started anew, or has gone."""
-        now, model = time.monotonic(), training.goal.model
-        if self._retrain.server_is_ready():
-            self._served = now
-        if training.end is not None and training.end.status == GoalStatus.STATUS_UNKNOWN:
-            self._wish_again(training, f"the retrain server knows no training on {model}; asked again")
-        elif training.refused:
-            self._ask_after = now + BUSY_S
-            self._wish_again(training, f"the retrain server is busy; asked again in {BUSY_S:.0f} s")
-        elif training.end is not None:
-            self._on_trained(model, training.end.result)
-        elif now - self._served > GONE_S:
-            self._wish_again(training, "the retrain server has gone; it is asked again as soon as it is back")
-        elif training.wants_asking(ASK_AGAIN_S):
-            training.ask()
-
-    def _wish_again(self, training: SentGoal, why: str) -> None:
-        """Give a training up; the same goal goes on from its last checkpoint, unless there is a later wish."""
-        self._training, self._wish = None, self._wish or training.goal
-        self.get_logger().warning(why)
-
-    def _on_trained(self, model: str, result: Retrain.Result) -> None:
-        self._training = None
-        if result.success:
-            self._trained_on = model
-        self.get_logger().info(f"training on {model}: {result.message}")
+        if self.values.retrain:
+            errors = (self._news.get(role, math.nan) for role in ("before", "after"))
+            self._training.consider(self._news["posterior"], *errors)
 
     # -- services -------------------------------------------------------------------------------------------------
 
@@ -314,58 +237,9 @@ class InferenceNode(Node):
 
     # -- diagnosis ------------------------------------------------------------------------------------------------
 
-    def _on_goal(self, goal: Diagnose.Goal) -> GoalResponse:
-        if self._diagnosing or self._worker is not None:
-            self.get_logger().warning("diagnose refused: the worker is busy; try again when it is done")
-            return GoalResponse.REJECT
-        self._diagnosing = True
-        return GoalResponse.ACCEPT
-
-    def _on_diagnose(self, handle: ServerGoalHandle) -> Diagnose.Result:
-        try:
-            return self._diagnosed(handle)
-        finally:
-            self._diagnosing = False
-
-    def _diagnosed(self, handle: ServerGoalHandle) -> Diagnose.Result:
-        goal = handle.request
+    def _job(self, goal: Diagnose.Goal) -> Job:
         bags = tuple(goal.bags) or _texts(self._folder.fitted)
-        worker = Worker(
-            Job(DIAGNOSE, str(self._store.root), goal.model or self._model, bags, threads=self.values.threads)
-        )
-        result, finished = Diagnose.Result(message="cancelled"), False
-        try:
-            while not (finished or handle.is_cancel_requested or self._closing):
-                finished = any([self._on_diagnosis(handle, event, result) for event in worker.events()])
-                time.sleep(DIAGNOSIS_POLL_S)
-        finally:
-            worker.stop()
-        if result.success:
-            handle.succeed()
-        elif handle.is_cancel_requested:
-            handle.canceled()
-        else:
-            handle.abort()
-        return result
-
-    def _on_diagnosis(self, handle: ServerGoalHandle, event: dict[str, Any], result: Diagnose.Result) -> bool:
-        """Pass one event of the worker on; whether it was the last."""
-        kind = event.pop("event")
-        if kind == "progress":
-            remaining = number(event["remaining_s"])
-            handle.publish_feedback(
-                Diagnose.Feedback(stage=event["stage"], fraction=float(event["share"]), remaining_s=remaining)
-            )
-        elif kind == "warning":
-            self._warn(event["message"])
-        elif kind == "diagnosis":
-            result.diagnosis = diagnosis_message(event, self.get_clock().now().to_msg())
-            result.message = result.diagnosis.statement
-            self._diagnosis.publish(result.diagnosis)
-        else:
-            result.success = kind == "done"
-            result.message = event.get("message", result.message)
-        return kind in ("done", "failed")
+        return Job(DIAGNOSE, str(self._store.root), goal.model or self._model, bags, threads=self.values.threads)
 
     # -- health ---------------------------------------------------------------------------------------------------
 
@@ -377,8 +251,8 @@ class InferenceNode(Node):
             "model": self._model,
             "rollouts to fit": len(self._folder.fitted),
             "rollouts held out": len(self._folder.held_out),
-            "training": self._training is not None,
-            "training wanted": self._wish is not None,
+            "training": self._training.runs,
+            "training wanted": self._training.is_wanted,
         }
         status.values = [KeyValue(key=key, value=str(value)) for key, value in facts.items()]
         array = DiagnosticArray(status=[status])
@@ -387,10 +261,7 @@ class InferenceNode(Node):
 
     def leave(self) -> None:
         """End the workers."""
-        self._closing = True
-        deadline = time.monotonic() + ENDING_S
-        while self._diagnosing and time.monotonic() < deadline:
-            time.sleep(DIAGNOSIS_POLL_S)
+        self._diagnose.leave()
         if self._worker is not None:
             self._worker.stop()
 
