@@ -76,7 +76,7 @@ def install(torch: str) -> bool:
 
 
 def _make(uv: Path, environment: dict[str, str]) -> None:
-    """The empty environment: of the interpreter that runs this, or where the wheels are not for it, of a fetched one."""
+    """The empty environment: of the interpreter that runs this, or where the wheels lack it, of a fetched one."""
     lowest, highest = FITTING
     if lowest <= sys.version_info[:2] <= highest:
         command: list[str | Path] = [uv, "venv", "--python", sys.executable, VENV]
