@@ -1,6 +1,5 @@
 """Asks the retrain server for a new policy when it is worth one, and follows the training to its end; needs ROS."""
 
-import math
 import time
 from collections.abc import Mapping
 from typing import Any
