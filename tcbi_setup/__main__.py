@@ -15,6 +15,7 @@ from tcbi_setup.progress import say
 
 def main() -> int:
     """Set up what is missing; 0 when all of it is there. SIGTERM and the end of the terminal count as Ctrl-C."""
+    os.environ.pop("PYTHONSAFEPATH", None)  # against what lies in the folder of the call; the build has its own ways
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as below nohup
             signal.signal(number, signal.default_int_handler)

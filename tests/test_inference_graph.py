@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from rclpy.action import ActionClient, ActionServer, GoalResponse
 
@@ -102,6 +103,7 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
     assert len(first.source_rollouts) == 4
     assert not set(first.source_rollouts) & set(errors[-1].rollouts), "a rollout was fitted and judged"
     assert len(errors[-1].rollouts) == 2 and errors[-1].error_over_floor > 0
+    assert not {s.unit for s in errors[-1].signals} & {"deg", "deg/s"}, "topics speak the SI"
     assert (goals[0].task, goals[0].model) == ("steps", f"{RIG}-v1")
     assert f"{RIG}-v1" in ModelStore(tmp_path / "store").versions(RIG)
 
@@ -115,6 +117,22 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
     damaged = [line for line in graph.tail("inference_node", 1000).splitlines() if "is damaged" in line]
     assert len(damaged) == 1 and ids[0] in damaged[0], "each bag's damage is said once, not at each inference"
     server.destroy()
+
+
+def test_an_inference_whose_worker_is_killed_is_made_again(start_graph, peer, node, tmp_path):
+    write_rollouts(tmp_path / "bags", 0, 6)
+    graph = start_graph(node)
+    posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    (status,) = graph.status()
+
+    def workers():
+        family = psutil.Process(status.pid).children(recursive=True)
+        return [p for p in family if "tcbi_infer.inference_worker" in p.cmdline()]
+
+    peer.wait_until(lambda: bool(workers()), "the worker", WORK_S)
+    workers()[0].kill()
+    peer.wait_until(lambda: bool(posteriors), "the posterior of the second try", WORK_S)
+    assert "it is tried again in 5 s" in graph.tail("inference_node", 1000)
 
 
 def test_an_error_that_fell_is_reason_enough_for_a_training(start_graph, peer, node, tmp_path):

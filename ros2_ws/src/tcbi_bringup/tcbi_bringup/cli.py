@@ -6,6 +6,7 @@ import difflib
 import errno
 import importlib
 import importlib.util
+import io
 import keyword
 import os
 import signal
@@ -138,6 +139,8 @@ def main(argv: list[str] | None = None) -> int:
     if argv is not None:
         return call(argv)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal without a sign shows another one
     status = call(sys.argv[1:])
     if sys.stdout is not None:
         os.dup2(2, 1)  # whatever a library still says at its end is no answer

@@ -112,7 +112,7 @@ def rendering_check() -> Check:
     backend = os.environ.get("MUJOCO_GL", "egl")
     try:
         result = subprocess.run(
-            [sys.executable, "-c", code],
+            [sys.executable, "-P", "-c", code],
             env={**os.environ, "MUJOCO_GL": backend},
             capture_output=True,
             text=True,

@@ -129,7 +129,7 @@ class _Supervised:
         self.what, self.log = what, log
         self.commands = what.command(), what.command(after_crash=True)  # of the first start, of all others
         self.process: subprocess.Popen | None = None
-        self.failures = 0
+        self.failures = self.refusals = 0  # in a row: of all, and with exit status 1
         self.retry_at = 0.0
         self.status = ProcessStatus(what.key, "waiting", essential=what.essential)
 
@@ -155,12 +155,13 @@ class _Supervised:
             return
         self.process = None
         if time.time() - self.status.started >= HEALTHY_AFTER_S:
-            self.failures = 0
+            self.failures = self.refusals = 0
         self.status = replace(self.status, state="ended", pid=None, exit_code=code)
         if code == 0 or not restart:
             return
         self.failures += 1
-        if self.failures >= (CONFIGURATION_TRIES if code == 1 else TRIES):
+        self.refusals = self.refusals + 1 if code == 1 else 0
+        if self.failures >= TRIES or self.refusals >= CONFIGURATION_TRIES:
             reason = f"{self.what.key} failed {self.failures} times in a row, last with {describe_exit(code)}"
             reason += "".join(f": {line}" for line in self.last_lines(1))
             self.status = replace(self.status, state="given up", reason=reason)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hexapod_driver.calibration import load as load_calibration
 from tcbi_bringup.emulated_robot.hidden_names import STRENGTHS
-from tcbi_bringup.errors import LaunchError
+from tcbi_bringup.errors import LaunchError, WrongCallError
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_bringup.node_parameters import Setting, given_parameters
 from tcbi_policy.artefact import find_policy
@@ -78,24 +78,24 @@ class GraphOptions:
         """Refuse what does not go together, and a task, a model or a policy that no node could load.
 
         Raises:
-          LaunchError: in one line.
+          LaunchError: a port or the folder of recordings cannot be used, in one line.
           CalibrationError: the file cannot be read, or says what cannot be.
           PolicyError: the policy does not exist, is damaged, or is another robot's.
           UnknownNameError: there is no such task or model version.
-          WrongCallError: a setting names what no node has, or a value that it does not allow.
+          WrongCallError: options that do not go together, or a setting that no node has or allows.
         """
         if self.lockstep and self.robot != SIM:
-            raise LaunchError(
+            raise WrongCallError(
                 f"--lockstep: got --robot {self.robot}, allowed is sim; a robot does not wait for commands"
             )
         for option, choice in (("--hidden", self.hidden), ("--strength", self.strength)):
             if choice and self.robot != EMULATED:
-                raise LaunchError(
+                raise WrongCallError(
                     f"{option}: got --robot {self.robot}, allowed is emulated; only there is known what is hidden"
                 )
         for option, chosen in (("--task", self.task), ("--seed", self.seed)):
             if chosen and self.robot == NONE:
-                raise LaunchError(f"{option}: got --robot none, allowed is sim or emulated; a replay has its own")
+                raise WrongCallError(f"{option}: got --robot none, allowed is sim or emulated; a replay has its own")
         if self.robot in (SIM, EMULATED, NONE):
             for option, value in (
                 ("--sensor-port", self.sensor_port),
@@ -104,7 +104,7 @@ class GraphOptions:
                 ("--sensor-baud-rate", self.sensor_baud_rate),
             ):
                 if value:
-                    raise LaunchError(
+                    raise WrongCallError(
                         f"{option}: got --robot {self.robot}, allowed is a serial port; only a real robot has one"
                     )
         else:

@@ -121,6 +121,23 @@ def test_what_fails_at_once_again_and_again_is_given_up(tmp_path, monkeypatch, c
         assert f"failed {tries} times in a row" in status(graph, "one").reason
 
 
+def test_a_crash_and_one_refusal_do_not_end_a_process_that_would_start(tmp_path, monkeypatch):
+    monkeypatch.setattr(launcher, "FIRST_PAUSE_S", 0.01)
+    count = tmp_path / "starts"
+    code = (
+        "import pathlib, sys, time\n"
+        f"file = pathlib.Path({str(count)!r})\n"
+        "starts = len(file.read_text()) if file.exists() else 0\n"
+        "file.write_text('x' * (starts + 1))\n"
+        "if starts < 2: sys.exit((70, 1)[starts])\n"
+        "print('up', flush=True)\n"
+        "time.sleep(600)\n"
+    )
+    with Graph([program("one", code)], log_dir=tmp_path, restart=True) as graph:
+        wait_for(lambda: "\nup" in graph.log("one"), "the third start")
+        assert (status(graph, "one").state, status(graph, "one").restarts) == ("running", 2)
+
+
 def test_a_process_that_ends_well_stays_ended(tmp_path):
     with Graph([program("one", "pass")], log_dir=tmp_path, restart=True) as graph:
         assert graph.wait_for_exit("one", DEADLINE_S) == 0

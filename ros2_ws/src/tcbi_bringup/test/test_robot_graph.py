@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hexapod_driver.errors import CalibrationError
-from tcbi_bringup.errors import LaunchError
+from tcbi_bringup.errors import LaunchError, WrongCallError
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_processes, start_graph
 from tcbi_policy.artefact import find_policy, save_policy
@@ -79,12 +79,12 @@ def test_without_a_robot_all_the_rest_starts_on_simulated_time(tmp_path):
     ],
 )
 def test_what_is_said_of_a_robot_is_refused_where_there_is_none(option, more):
-    with pytest.raises(LaunchError, match=f"^{option}: got --robot none, allowed is "):
+    with pytest.raises(WrongCallError, match=f"^{option}: got --robot none, allowed is "):
         options(robot="none", **more).check()
 
 
 def test_lockstep_needs_the_simulation():
-    with pytest.raises(LaunchError, match="--lockstep: got --robot emulated, allowed is sim"):
+    with pytest.raises(WrongCallError, match="--lockstep: got --robot emulated, allowed is sim"):
         options(robot="emulated", lockstep=True).check()
 
 
@@ -113,11 +113,11 @@ def test_a_calibration_that_cannot_be_read_is_refused_before_anything_starts(tmp
 
 @pytest.mark.parametrize("robot", ["sim", "emulated", "none"])
 def test_only_a_real_robot_has_a_calibration_and_a_second_port(robot):
-    with pytest.raises(LaunchError, match=f"--calibration: got --robot {robot}"):
+    with pytest.raises(WrongCallError, match=f"--calibration: got --robot {robot}"):
         options(robot=robot, calibration="mine.toml").check()
-    with pytest.raises(LaunchError, match=f"--sensor-baud-rate: got --robot {robot}"):
+    with pytest.raises(WrongCallError, match=f"--sensor-baud-rate: got --robot {robot}"):
         options(robot=robot, sensor_baud_rate=9600).check()
-    with pytest.raises(LaunchError, match=f"--sensor-port: got --robot {robot}"):
+    with pytest.raises(WrongCallError, match=f"--sensor-port: got --robot {robot}"):
         options(robot=robot, sensor_port="/dev/ttyUSB1").check()
 
 
@@ -141,9 +141,9 @@ def test_what_is_hidden_in_an_emulated_robot_is_told_to_it_alone():
     assert chosen == ("--strength", "weak", "--hidden", "payload") and "payload" not in str(driver)
     assert "--hidden" not in robot_processes(options(robot="emulated"), Path("run"))[0].arguments
     assert "strong" in robot_processes(options(robot="emulated"), Path("run"))[0].arguments
-    with pytest.raises(LaunchError, match="--hidden: got --robot sim, allowed is emulated"):
+    with pytest.raises(WrongCallError, match="--hidden: got --robot sim, allowed is emulated"):
         options(hidden="payload").check()
-    with pytest.raises(LaunchError, match="--strength: got --robot sim, allowed is emulated"):
+    with pytest.raises(WrongCallError, match="--strength: got --robot sim, allowed is emulated"):
         options(strength="weak").check()
 
 

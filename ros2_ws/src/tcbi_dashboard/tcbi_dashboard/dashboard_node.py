@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -20,7 +22,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from tcbi_contract import names
-from tcbi_contract.messages import LATCHED_QOS
+from tcbi_contract.messages import LATCHED_QOS, STREAM_QOS
 from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import guarded
 from tcbi_dashboard.access import Access
@@ -55,6 +57,7 @@ class DashboardNode(Node):
         super().__init__("dashboard_node", **more)
         self._live = live
         live.namespace = self.get_namespace()
+        self._sensed: Time | None = None  # stamp of the last joint_states: a simulation's time may be its own
         self._hear(names.JOINT_STATES, JointState, names.SENSOR_RATE_HZ, self._joints)
         self._hear(names.IMU, Imu, names.SENSOR_RATE_HZ, self._imu)
         self._hear(names.FOOT_CONTACTS, FootContacts, names.SENSOR_RATE_HZ, self._contacts)
@@ -68,6 +71,9 @@ class DashboardNode(Node):
         self._reset = self.create_client(ResetEpisode, names.RESET_EPISODE)
         self._load = self.create_client(LoadPolicy, names.LOAD_POLICY)
         self._own = self.get_fully_qualified_name()
+        self._health = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, STREAM_QOS)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._diagnose, clock=steady)
         threading.Thread(target=self._look_around, name="dashboard-nodes", daemon=True).start()
         live.emergency_stop = self._stop_robot
         live.release = self._release_robot
@@ -84,6 +90,7 @@ class DashboardNode(Node):
         self.create_subscription(kind, topic, heard, EAR)
 
     def _joints(self, message: JointState) -> None:
+        self._sensed = message.header.stamp
         with self._live.lock:
             self._live.joint_names, self._live.joint_position = tuple(message.name), tuple(message.position)
 
@@ -101,6 +108,12 @@ class DashboardNode(Node):
             level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
             values = {pair.key: pair.value for pair in status.values}
             self._live.diagnosed(status.name, level, status.message, values)
+
+    def _diagnose(self) -> None:
+        status = DiagnosticStatus(level=DiagnosticStatus.OK, name="dashboard_node", message="listens")
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._sensed or self.get_clock().now().to_msg()
+        self._health.publish(array)
 
     def _event(self, message: RolloutEvent) -> None:
         self._live.rollout = message.rollout_id if message.kind == RolloutEvent.BEGIN else ""

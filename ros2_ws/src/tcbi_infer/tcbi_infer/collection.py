@@ -11,7 +11,7 @@ import numpy as np
 from tcbi_contract.names import CONTROL_PERIOD_S, SLOPE_LIMIT
 from tcbi_contract.wording import counted
 from tcbi_infer.bags.tracker import heading
-from tcbi_infer.errors import RecordingError
+from tcbi_infer.errors import RequestError
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.tasks import find_task, tasks
 
@@ -37,7 +37,7 @@ class Request:
 
 
 def check(request: Request) -> None:
-    """Raise RecordingError that names everything wrong with a request."""
+    """Raise RequestError that names everything wrong with a request."""
     faults = []
     if request.task not in tasks():
         faults.append(f"task: got {request.task!r}, allowed is one of {', '.join(tasks())}")
@@ -52,7 +52,7 @@ def check(request: Request) -> None:
     for name, slopes in (("slope_roll", request.slope_roll), ("slope_pitch", request.slope_pitch)):
         faults += _slope_faults(name, slopes, request.number)
     if faults:
-        raise RecordingError("collect_rollouts: " + "; ".join(faults))
+        raise RequestError("collect_rollouts: " + "; ".join(faults))
 
 
 def _slope_faults(name: str, slopes: Sequence[float], number: int) -> list[str]:

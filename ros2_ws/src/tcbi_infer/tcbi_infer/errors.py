@@ -19,6 +19,10 @@ class RecordingError(InferError):
     """A rollout cannot be recorded: the folder is taken, the disk is full, a node is missing."""
 
 
+class RequestError(RecordingError, UsageError):
+    """Rollouts are asked for that cannot be recorded."""
+
+
 class MappingError(InferError):
     """A mapping file does not describe its logs."""
 

@@ -6,6 +6,7 @@ enough since the last training.
 """
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,8 @@ from tcbi_msgs.msg import ModelError, Posterior, RolloutEvent
 from tcbi_msgs.srv import AddEffect, LoadModel
 from tcbi_sim.model import Model
 from tcbi_sim.store import LATEST, ModelStore
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 5.0, 600.0  # after a failed inference, twice as long each time
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,8 @@ class InferenceNode(Node):
         self._news: dict[str, Any] = {}
         self._warned: set[str] = set()  # each inference reads all bags again and says the same of them
         self._state, self._fault = "waiting for rollouts", ""
+        self._failures = 0  # inferences in a row
+        self._not_before = 0.0  # s of the steady clock, when the next inference may begin
         self._open()
         self._take_up()
 
@@ -148,7 +153,7 @@ class InferenceNode(Node):
 
     def _due(self) -> bool:
         fitted = set(self._folder.fitted)
-        if self._diagnose.runs or len(fitted) < self.values.least_rollouts:
+        if self._diagnose.runs or len(fitted) < self.values.least_rollouts or time.monotonic() < self._not_before:
             return False
         return self._wanted or len(fitted - self._inferred) >= self.values.new_rollouts or not fitted & self._inferred
 
@@ -195,15 +200,23 @@ class InferenceNode(Node):
         self._worker.stop()
         self._worker = None
         if kind == "failed":
-            self._state, self._fault = "inference failed", event["message"]
-            self.get_logger().error(self._fault)
+            self._failed(event["message"])
             return
+        self._failures = 0
         self._state = f"waiting for {self.values.new_rollouts} more rollouts"
         if self._model != LATEST:
             self._model = self._news["posterior"]["model"]
         if self.values.retrain:
             errors = (self._news.get(role, math.nan) for role in ("before", "after"))
             self._training.consider(self._news["posterior"], *errors)
+
+    def _failed(self, why: str) -> None:
+        """Say why, and infer once more after a while: a disk that was full or a worker that was killed may be back."""
+        pause = min(FIRST_PAUSE_S * 2**self._failures, LONGEST_PAUSE_S)
+        self._failures += 1
+        self._wanted, self._not_before = True, time.monotonic() + pause
+        self._state, self._fault = "inference failed", f"{why}; mend this, it is tried again in {pause:.0f} s"
+        self.get_logger().error(self._fault)
 
     # -- services -------------------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from builtin_interfaces.msg import Time
 from tcbi_msgs.msg import Diagnosis, EffectParameter, Evidence, ModelError, Posterior, SignalError
 
 Content = dict[str, Any]
+SI = {"deg": ("rad", math.pi / 180), "deg/s": ("rad/s", math.pi / 180)}
 
 
 def number(value: float | None) -> float:
@@ -25,19 +26,28 @@ def posterior_message(content: Content, stamp: Time) -> Posterior:
 
 def model_error_message(content: Content, stamp: Time) -> ModelError:
     """From a `model_error` event."""
-    keys = ("error", "noise_floor", "ratio", "coverage90")
-    signals = [
-        SignalError(name=s["name"], unit=s["unit"], **{key: number(s[key]) for key in keys}) for s in content["signals"]
-    ]
     message = ModelError(
         model=content["model"],
         rollouts=content["rollouts"],
         floor_from_replicates=bool(content["floor_from_replicates"]),
-        signals=signals,
+        signals=[_signal_error(s) for s in content["signals"]],
         error_over_floor=number(content["error_over_floor"]),
     )
     message.header.stamp = stamp
     return message
+
+
+def _signal_error(signal: Content) -> SignalError:
+    """In SI units, as all topics are."""
+    unit, factor = SI.get(signal["unit"], (signal["unit"], 1.0))
+    return SignalError(
+        name=signal["name"],
+        unit=unit,
+        error=factor * number(signal["error"]),
+        noise_floor=factor * number(signal["noise_floor"]),
+        ratio=number(signal["ratio"]),
+        coverage90=number(signal["coverage90"]),
+    )
 
 
 def diagnosis_message(content: Content, stamp: Time) -> Diagnosis:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -74,7 +75,10 @@ class ReplayNode(Node):
         self._made = time.monotonic()
         self._began: float | None = None
         self._ended_at = 0.0
-        self.create_timer(PERIOD_S, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._diagnostics = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, messages.STREAM_QOS)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(PERIOD_S, self._on_time, clock=steady)
+        self.create_timer(1 / names.DIAGNOSTICS_RATE_HZ, self._diagnose, clock=steady)
 
     def _publisher(self, name: str) -> Any:
         kind = RolloutEvent if name == names.ROLLOUT_EVENT else STREAMS[name]
@@ -143,6 +147,16 @@ class ReplayNode(Node):
         if self._clock_publisher is not None and stamp > self._told + step:
             self._told = stamp
             self._clock_publisher.publish(ClockMessage(clock=messages.to_stamp(stamp)))
+
+    def _diagnose(self) -> None:
+        """Its own health, beside what the bag holds of the nodes that were recorded."""
+        state = "waiting for listeners" if self._began is None else "finished" if self.finished else "playing"
+        status = DiagnosticStatus(level=DiagnosticStatus.OK, name="replay_node", message=state)
+        status.values = [KeyValue(key="messages published", value=str(self.published))]
+        array = DiagnosticArray(status=[status])
+        played = self._clock_publisher is not None  # then a recorder's time is the bag's
+        array.header.stamp = messages.to_stamp(self._told) if played else self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
 
     def _end(self) -> None:
         self.get_logger().info(f"played {counted(self.published, 'message')}")

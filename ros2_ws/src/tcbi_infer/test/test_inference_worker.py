@@ -253,7 +253,10 @@ def test_a_full_disk_fails_the_job_in_one_line(monkeypatch: pytest.MonkeyPatch, 
     assert json.loads(line)["event"] == "failed" and "No space left" in line
 
 
-def test_a_fault_of_the_input_arrives_as_one_line(tmp_path: Path) -> None:
+def test_a_fault_of_the_input_arrives_as_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("random", "secrets", "signal"):  # what lies in the user's folder is none of the worker's libraries
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.chdir(tmp_path)
     worker = Worker(Job(INFER, str(tmp_path), "latest", (str(tmp_path / "nowhere"),)))
     events: list[dict] = []
     deadline = time.monotonic() + DEADLINE_S

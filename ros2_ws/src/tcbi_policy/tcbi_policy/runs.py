@@ -155,14 +155,14 @@ def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
 
 
 class TrainingProcess:
-    """`python -m tcbi_policy.training_process`, in a process group of its own and at low priority.
+    """`python -P -m tcbi_policy.training_process`, in a process group of its own and at low priority.
 
     Without a folder it loads its libraries, which takes seconds, and stands by until `begin`.
     """
 
     def __init__(self, folder: Path | None = None):
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tcbi_policy.training_process"],
+            [sys.executable, "-P", "-m", "tcbi_policy.training_process"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
             env=dict(os.environ, PYTHONUNBUFFERED="1"), start_new_session=True,
         )  # fmt: skip

@@ -74,7 +74,6 @@ class SimNode(Node):
         self._published = 0
         self._unheard = 0  # samples published in lockstep since every listener was known to have them
         self._present: tuple[int, Reading] | None = None  # the last sample, with its stamp in ns
-        self._zero = 0  # ns, stamp of the last reset's sample
         self._listeners = 0  # that it was published to
         self._offer()
         if v.mode == "lockstep":
@@ -204,7 +203,7 @@ class SimNode(Node):
         listeners = self._count_listeners()
         if self._present and listeners > self._listeners:
             stamp, reading = self._present
-            if stamp == self._zero or not self._in_episode:
+            if not self._in_episode:
                 self._publish(stamp, reading)
         self._listeners = listeners
         self._publish_clock()
@@ -256,7 +255,7 @@ class SimNode(Node):
             stamp = self.clock.reset(duration, time.monotonic())
         else:
             stamp = self.pacer.restart(time.monotonic_ns(), self._ros_now())
-        self._listeners, self._zero = self._count_listeners(), stamp
+        self._listeners = self._count_listeners()
         self._publish(stamp, reading)
         if self.clock:
             self._publish_clock()

@@ -49,7 +49,8 @@ def why_no_window() -> str:
     if not display:
         return "no display"
     try:
-        opened = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=PROBE_S).returncode == 0
+        probe = subprocess.run([sys.executable, "-P", "-c", PROBE], capture_output=True, timeout=PROBE_S)
+        opened = probe.returncode == 0
     except subprocess.TimeoutExpired:
         opened = False
     return "" if opened else f"display {display} opens no window"

@@ -15,7 +15,7 @@ WELL_PREDICTED = 3.0  # times the noise floor; of 20 emulated robots with nothin
 HEADLINES = {
     EFFECT: "An effect is missing",
     CANNOT_TELL: "An effect is missing, but which one cannot be told",
-    NOTHING_MISSING: "Nothing missing was found",
+    NOTHING_MISSING: "Nothing is missing that these rollouts could show",
     OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
 }
 UNEXPLAINED = "Something is missing that no effect tried explains"  # where the library was not tried as a whole
