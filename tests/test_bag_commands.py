@@ -157,7 +157,7 @@ def test_replay_does_not_speak_in_the_place_of_a_robot_that_runs(tmp_path, capsy
 
 
 def test_collect_names_every_fault_before_it_starts_anything(capsys):
-    assert cli.main(["collect", "--slope-roll", "2", "--duration", "9999", "--robot", "sim"]) == 1
+    assert cli.main(["collect", "--slope-roll", "2", "--duration", "9999", "--robot", "sim"]) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and "duration_s: got 9999" in told and "slope_roll: got 2" in told
 
