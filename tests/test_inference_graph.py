@@ -11,7 +11,7 @@ import psutil
 import pytest
 from rclpy.action import ActionClient, ActionServer, GoalResponse
 
-from tcbi_bringup.launcher import NodeProcess
+from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_contract import messages, names
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_msgs.action import Diagnose, Retrain
@@ -52,6 +52,13 @@ def cut_off(bag: Path) -> None:
     then = time.time() - 60.0
     for path in (file, bag):
         os.utime(path, (then, then))
+
+
+def inferring(graph: Graph) -> list[psutil.Process]:
+    """The workers of the only node."""
+    (status,) = graph.status()
+    family = psutil.Process(status.pid).children(recursive=True)
+    return [p for p in family if "tcbi_infer.inference_worker" in p.cmdline()]
 
 
 @pytest.fixture
@@ -123,14 +130,8 @@ def test_an_inference_whose_worker_is_killed_is_made_again(start_graph, peer, no
     write_rollouts(tmp_path / "bags", 0, 6)
     graph = start_graph(node)
     posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
-    (status,) = graph.status()
-
-    def workers():
-        family = psutil.Process(status.pid).children(recursive=True)
-        return [p for p in family if "tcbi_infer.inference_worker" in p.cmdline()]
-
-    peer.wait_until(lambda: bool(workers()), "the worker", WORK_S)
-    workers()[0].kill()
+    peer.wait_until(lambda: bool(inferring(graph)), "the worker", WORK_S)
+    inferring(graph)[0].kill()
     peer.wait_until(lambda: bool(posteriors), "the posterior of the second try", WORK_S)
     assert "it is tried again in 5 s" in graph.tail("inference_node", 1000)
 
@@ -235,6 +236,18 @@ def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node,
     assert loaded.success and loaded.model == f"{RIG}-v0"
     missing = peer.call(names.INFERENCE_LOAD_MODEL, LoadModel.Request(model=f"{RIG}-v9"), LoadModel)
     assert not missing.success and "unknown model version" in missing.message
+
+
+def test_an_effect_that_is_added_during_an_inference_is_in_the_next_one(start_graph, peer, node, tmp_path):
+    write_rollouts(tmp_path / "bags", 0, 6)
+    graph = start_graph(node)
+    posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(inferring(graph)), "the inference", WORK_S)
+    added = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latency"), AddEffect)
+    assert added.success and added.model == f"{RIG}-v1", added.message
+    peer.wait_until(lambda: bool(posteriors), "the posterior", WORK_S)
+    assert "command_latency.delay" in posteriors[0].parameter and posteriors[0].model == f"{RIG}-v2"
+    assert "is given up" in graph.tail("inference_node", 1000)
 
 
 def test_a_diagnosis_is_an_action_with_feedback(start_graph, peer, node, tmp_path):

@@ -48,7 +48,7 @@ class InferenceParameters:
     model: str = parameter(LATEST, "model version whose parameters are inferred, or latest")
     method: str = parameter("calibrated", "of inference", choices=("calibrated", "paper"))
     particles: int = parameter(50, "simulated in each generation", low=10, high=100000)
-    generations: int = parameter(6, "at most", low=1, high=1000)
+    generations: int = parameter(0, "at most; 0 for as many as the method makes by itself", low=0, high=1000)
     least_rollouts: int = parameter(8, "to fit, before the first inference", low=2, high=100000)
     new_rollouts: int = parameter(4, "finished since the last inference, before the next", low=1, high=100000)
     holdout_every: int = parameter(5, "one rollout in so many is judged on and never fitted; 0 for none", low=0)
@@ -186,6 +186,8 @@ class InferenceNode(Node):
         elif kind == "model_error":
             self._news[event["role"]] = number(event["error_over_floor"])
             self._error.publish(model_error_message(event, stamp))
+        elif kind == "superseded":
+            self._news["superseded"] = event["model"]
         else:
             self._end(kind, event)
 
@@ -203,6 +205,11 @@ class InferenceNode(Node):
             self._failed(event["message"])
             return
         self._failures = 0
+        if newest := self._news.get("superseded"):
+            self._wanted = True
+            self._state = f"{newest} was made meanwhile; infers from there"
+            self.get_logger().info(self._state)
+            return
         self._state = f"waiting for {self.values.new_rollouts} more rollouts"
         if self._model != LATEST:
             self._model = self._news["posterior"]["model"]
@@ -218,12 +225,21 @@ class InferenceNode(Node):
         self._state, self._fault = "inference failed", f"{why}; mend this, it is tried again in {pause:.0f} s"
         self.get_logger().error(self._fault)
 
+    def _begin_anew(self) -> None:
+        """Infer as soon as may be; what is at work is of a version that is no longer in question."""
+        if self._worker is not None:
+            self._worker.stop()
+            self._worker = None
+            self.get_logger().info("the inference at work is given up for one of the version that was asked for")
+        self._wanted, self._not_before = True, 0.0
+
     # -- services -------------------------------------------------------------------------------------------------
 
     def _on_load(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
         try:
             response.model = self._store.load(request.model or LATEST).version
-            self._model, self._wanted, response.success = request.model or LATEST, True, True
+            self._model, response.success = request.model or LATEST, True
+            self._begin_anew()
         except TcbiError as e:
             response.message, response.model = str(e), self._model
         return response
@@ -234,7 +250,8 @@ class InferenceNode(Node):
             child, how = self._with_effect(parent, request.effect)
             response.model = self._store.save(child).version
             self._model = response.model if self._model != LATEST else LATEST
-            self._wanted, response.success = True, True
+            response.success = True
+            self._begin_anew()
             response.message = f"{response.model} is {parent.version} with {request.effect}, {how}"
         except TcbiError as e:
             response.message = str(e)

@@ -1,7 +1,7 @@
 """The inference node's other half: one job a process, so that simulations never hold up a callback.
 
 Its events, as `worker_process` passes them on: `warning`, `progress`, `generation`, `posterior`, `model_error`,
-`diagnosis`.
+`diagnosis`; `superseded` in place of a posterior where the newest version is no longer the one that was inferred from.
 
     python -m tcbi_infer.inference_worker < job.json
 """
@@ -33,7 +33,7 @@ from tcbi_infer.tcbi.result import Result, prior_sds
 from tcbi_infer.worker_process import Emit, serve
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
-from tcbi_sim.store import ModelStore
+from tcbi_sim.store import LATEST, ModelStore
 from tcbi_sim.workers import Here, using
 
 INFER, DIAGNOSE = "infer", "diagnose"
@@ -52,7 +52,7 @@ class Job:
     reference: str = ""  # version that shift and error are measured from; empty for `model`
     method: str = "calibrated"
     particles: int = 50
-    generations: int = 6
+    generations: int = 0  # 0 for the method's own number
     seed: int = 0
     threads: int = 0
 
@@ -133,8 +133,11 @@ def run_inference(job: Job, emit: Emit) -> None:
         folder=store.folder("runs"),
         watch=watch,
         particles=job.particles,
-        generations=job.generations,
+        **({"generations": job.generations} if job.generations else {}),
     )
+    if job.model == LATEST and (newest := store.load(LATEST, model.rig).version) != model.version:
+        emit("superseded", model=newest)  # a child of the older version would hide what somebody has added since
+        return
     saved = posterior.save(store, result)
     reference = _reference(job, store, model)
     emit("posterior", **summary(result, saved, moved(reference, result)))

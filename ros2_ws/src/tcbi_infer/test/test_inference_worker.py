@@ -142,6 +142,23 @@ def test_an_inference_judges_before_and_after_on_rollouts_that_it_did_not_fit(ba
     assert ModelStore(tmp_path / "store").load("servo_bench-v1").evidence["inference"]["method"] == "calibrated"
 
 
+def test_a_version_that_was_made_meanwhile_is_not_hidden_by_a_child_of_the_one_before(
+    bags: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, really = ModelStore(tmp_path / "store"), inference_worker.infer
+
+    def meanwhile(*args: Any, **settings: Any) -> Any:
+        result = really(*args, **settings)
+        store.save(base_model("servo_bench").with_effect("command_latency"))
+        return result
+
+    monkeypatch.setattr(inference_worker, "infer", meanwhile)
+    events: list[tuple[str, dict]] = []
+    run_inference(job(bags, tmp_path, model="latest", generations=1), lambda event, **c: events.append((event, c)))
+    assert events[-1] == ("superseded", {"model": "servo_bench-v1"})
+    assert store.load("latest", "servo_bench").effects == ("command_latency",)
+
+
 def test_a_reference_of_another_rig_is_passed_over_for_the_model_itself(bags: Path, tmp_path: Path) -> None:
     events: list[tuple[str, dict]] = []
     asked = job(bags, tmp_path, model="latest", reference="hexapod-v0", generations=1)
