@@ -6,7 +6,8 @@
 ./tcbi python bench/training.py --keep docs/learning_curve_balance.jsonl --figure docs/images/learning_curve_balance.svg
 
 Draws are from the prior of the hexapod as it is built in. `--keep FILE` holds one JSON line for each seed; what is
-there already of the same configuration is not run again, so a stopped run goes on. `--figure` draws the kept curves.
+there already of the same configuration and the same code is not run again, so a stopped run goes on. `--figure` draws
+the curves.
 """
 
 import argparse
@@ -24,6 +25,7 @@ from scipy.special import stdtrit
 from tcbi_bringup.commands.bench import figure
 from tcbi_infer.report.plots import BLUE, GREY, STYLE, WIDE
 from tcbi_policy.configuration import TrainingConfig, preset
+from tcbi_policy.runs import LOADED
 from tcbi_policy.training import Training
 from tcbi_sim.model import base_model
 
@@ -43,9 +45,9 @@ def configured(task: str, seed: int, steps: int) -> TrainingConfig:
 
 
 def facts(config: TrainingConfig) -> Result:
-    """By which a kept result is known to be of this configuration."""
+    """By which a kept result is known to be of this configuration, this code and these libraries."""
     digest = hashlib.sha256(json.dumps(dataclasses.asdict(config), sort_keys=True).encode()).hexdigest()[:12]
-    return {"task": config.task, "seed": config.seed, "steps": config.steps, "configuration": digest}
+    return {"task": config.task, "seed": config.seed, "steps": config.steps, "configuration": digest, "on": LOADED}
 
 
 def trained(config: TrainingConfig) -> Result:

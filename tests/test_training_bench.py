@@ -39,3 +39,6 @@ def test_quick_and_full_results_in_one_file_are_told_apart(bench: ModuleType, tm
     monkeypatch.setattr(bench, "preset", lambda *_: other)
     bench.results("balance", range(1), 0, keep)
     assert len(ran) == 4, "of another configuration with the same seed and steps"
+    monkeypatch.setattr(bench, "LOADED", "code of another day")
+    bench.results("balance", range(1), 0, keep)
+    assert len(ran) == 5, "of other physics"

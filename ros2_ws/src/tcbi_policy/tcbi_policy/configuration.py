@@ -91,8 +91,8 @@ class TrainingConfig:
         if not 0.0 < self.gamma < 1.0:
             faults.append(describe("gamma", self.gamma, "between 0 and 1"))
         for name in ("observation_noise", "budget_s", "reward_scale"):
-            if not getattr(self, name) >= 0:
-                faults.append(describe(name, getattr(self, name), "0 or more"))
+            if not 0 <= getattr(self, name) < math.inf:
+                faults.append(describe(name, getattr(self, name), "0 or more, and finite"))
         if not 0.0 < self.effect_share <= 1.0:
             faults.append(describe("effect_share", self.effect_share, "more than 0 and up to 1"))
         if faults:

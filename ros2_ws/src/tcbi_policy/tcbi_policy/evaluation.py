@@ -17,14 +17,26 @@ from tcbi_contract.wording import counted
 from tcbi_policy.artefact import Actor
 from tcbi_policy.blocks import OverBlocks, over_blocks
 from tcbi_policy.environment import TIMESTEP_S
+from tcbi_policy.layout import HEXAPOD, check_fit, robot_layout
 from tcbi_policy.mlp import Mlp
 from tcbi_policy.reward import inclination, progress, simulated_rewards
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import Model
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.tasks import find_task
 
 LEAST_SHARE, LEAST_PAIRS = 0.9, 8  # of the rollouts of a comparison that must end under both policies
+
+
+def check_rig(policy: str, model: Model) -> None:
+    """Refuse a model of a robot that no policy or gait of these tasks can move.
+
+    Raises:
+      PolicyMisfit: everything that differs, by name.
+    """
+    rig = load_rig(model.rig)
+    check_fit(f"{policy} (on {model.version})", HEXAPOD, robot_layout(rig.joint_names, rig.joint_range))
 
 
 @dataclass(frozen=True)

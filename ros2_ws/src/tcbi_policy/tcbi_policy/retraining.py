@@ -34,6 +34,7 @@ from tcbi_policy.artefact import (
 )
 from tcbi_policy.configuration import TrainingConfig, check_start, preset
 from tcbi_policy.errors import PolicyError, PolicyNotFound, TrainingError
+from tcbi_policy.evaluation import check_rig
 from tcbi_policy.randomisation import randomised
 from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_sim.model import Model
@@ -89,6 +90,7 @@ def plan(job: Job) -> Run:
     """
     store = ModelStore(job.store)
     model = store.load(job.model)
+    check_rig(job.current, model)
     current = find_policy(job.current, store.root)
     start = _start(job, store.root)
     config = preset("fast", job.task)
@@ -101,6 +103,8 @@ def plan(job: Job) -> Run:
         config = dataclasses.replace(config, steps=min(config.steps, few))
     changes: dict[str, Any] = {"seed": job.seed, "budget_s": job.budget_s, "threads": job.threads}
     changes |= randomisation_of(begun or current, job.task, model)
+    if not 0 <= job.budget_s < math.inf:
+        raise TrainingError(describe("budget_s", job.budget_s, "0 (no limit) or more, s"))
     if job.budget_steps or job.budget_s:
         changes["steps"] = job.budget_steps
     pairs = Run.pairs

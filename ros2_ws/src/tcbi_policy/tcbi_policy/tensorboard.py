@@ -15,6 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from stable_baselines3.common.logger import KVWriter
 
 from tcbi_policy.protobuf import double, nested, number, single, text
@@ -33,8 +34,8 @@ class EventFile(KVWriter):
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         """What Stable-Baselines3 calls after each set of steps."""
-        scalars = {key: value for key, value in key_values.items() if isinstance(value, (int, float))}
-        self.add(step, scalars)
+        numbers = {key: value for key, value in key_values.items() if isinstance(value, (int, float, np.number))}
+        self.add(step, {key: float(value) for key, value in numbers.items()})
 
     def close(self) -> None:
         """Every record is written at once."""

@@ -113,7 +113,7 @@ def test_event_files_hold_the_scalars_behind_checksums(tmp_path: Path) -> None:
     assert masked_crc(b"123456789") == ((0xE3069283 >> 15 | 0xE3069283 << 17) + 0xA282EAD8) & 0xFFFFFFFF
     events = EventFile(tmp_path / "logs")
     events.add(7, {"evaluation/mean_return": 512.5})
-    events.write({"train/loss": 0.25, "time/name": "text"}, {}, 8)
+    events.write({"train/loss": 0.25, "train/approx_kl": np.float32(0.5), "time/name": "text"}, {}, 8)
     (file,) = (tmp_path / "logs").iterdir()
     data, found, steps = file.read_bytes(), {}, []
     while data:
@@ -124,6 +124,7 @@ def test_event_files_hold_the_scalars_behind_checksums(tmp_path: Path) -> None:
         data, event = rest[4:], dict(fields(record))
         if 5 in event:
             steps.append(event[2])
-            value = dict(fields(dict(fields(event[5]))[1]))
-            found[value[1].decode()] = struct.unpack("<f", value[2])[0]
-    assert found == {"evaluation/mean_return": 512.5, "train/loss": 0.25} and steps == [7, 8]
+            for _, each in fields(event[5]):
+                value = dict(fields(each))
+                found[value[1].decode()] = struct.unpack("<f", value[2])[0]
+    assert found == {"evaluation/mean_return": 512.5, "train/loss": 0.25, "train/approx_kl": 0.5} and steps == [7, 8]

@@ -20,7 +20,7 @@ from retraining_cases import TINY, job, robust, tiny
 from tcbi_contract.errors import TcbiError
 from tcbi_policy import artefact, retraining, runs, training_process
 from tcbi_policy.artefact import Policy, find_policy, keep_policy, load_policy, locked, policy_paths, save_policy
-from tcbi_policy.errors import PolicyNotFound, TrainingError
+from tcbi_policy.errors import PolicyMisfit, PolicyNotFound, TrainingError
 from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import randomised
@@ -160,6 +160,17 @@ def test_a_seed_beyond_what_the_libraries_take_is_refused(tmp_path: Path) -> Non
 def test_the_budget_of_the_request_holds(tmp_path: Path) -> None:
     config = plan(job(tmp_path, budget_s=12.0, budget_steps=77, seed=5)).config
     assert (config.budget_s, config.steps, config.seed) == (12.0, 77, 5)
+
+
+@pytest.mark.parametrize("budget_s", [float("nan"), float("inf"), -1.0])
+def test_a_budget_that_is_no_time_is_refused(tmp_path: Path, budget_s: float) -> None:
+    with pytest.raises(TrainingError, match=r"budget_s: got .*allowed is 0"):
+        plan(job(tmp_path, budget_s=budget_s))
+
+
+def test_a_model_of_another_robot_is_refused_by_what_differs(tmp_path: Path) -> None:
+    with pytest.raises(PolicyMisfit, match=r"on so101_arm-v0\) does not fit this robot: .*observation lacks Rotation"):
+        plan(job(tmp_path, model="so101_arm-v0"))
 
 
 def test_a_budget_in_seconds_alone_has_no_limit_in_steps(tmp_path: Path) -> None:

@@ -125,13 +125,14 @@ def _export(policy: Any, path: Path) -> str:
 
 def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any]:
     from tcbi_policy.artefact import Policy
-    from tcbi_policy.evaluation import draw_conditions, evaluate
+    from tcbi_policy.evaluation import check_rig, draw_conditions, evaluate
     from tcbi_sim.store import LATEST
 
     task = args.task or (policy.card.task if isinstance(policy, Policy) else "")
     if not task:
         raise WrongCallError(f"--task: {policy.policy_id} belongs to no task; say --task balance or --task forward")
     model = console.load_model(store, args.model or LATEST)
+    check_rig(policy.policy_id, model)
     rollouts, seed = args.rollouts or ROLLOUTS, SEED if args.seed is None else args.seed
     found = evaluate(policy, model, draw_conditions(model, task, rollouts, seed)).summary()
     return {"task": task, "model": model.version, **found}

@@ -94,6 +94,7 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     """
     from tcbi_policy.artefact import Policy, find_policy
     from tcbi_policy.configuration import check_start, preset
+    from tcbi_policy.evaluation import check_rig
     from tcbi_policy.randomisation import randomised
     from tcbi_policy.retraining import fine_tuning, randomisation_of
     from tcbi_policy.runs import Run
@@ -104,6 +105,7 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
             f"--out: got {args.out!r}, allowed is a name, or a path that ends in one; it begins with no dot"
         )
     config, model = preset(args.preset, args.task), store.load(args.model)
+    check_rig(f"of {args.task}", model)
     changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "prior": args.prior}
     if args.start:
         config, start = fine_tuning(config), find_policy(args.start, store.root)
