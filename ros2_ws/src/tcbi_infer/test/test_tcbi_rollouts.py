@@ -36,6 +36,14 @@ def test_too_few_or_identical_rollouts_are_refused(bench) -> None:
         Problem.of(model, copies)
 
 
+def test_a_rollout_that_is_another_one_again_counts_once(bench) -> None:
+    model, measurements = bench
+    again = [dataclasses.replace(measurements[0], rollout_id=f"copy{i}") for i in range(2)]
+    problem = Problem.of(model, [measurements[0], *again, *measurements[1:3]], timestep=0.01)
+    assert problem.rollout_ids == tuple(m.rollout_id for m in measurements[:3])
+    assert any("2 rollouts left out: another one again to the last bit" in line for line in problem.warnings)
+
+
 def test_few_rollouts_mixed_tasks_and_repeated_ids_are_said(bench) -> None:
     model, measurements = bench
     other = dataclasses.replace(measurements[2].scenario, task="swing")
@@ -137,7 +145,12 @@ def test_beside_a_policy_gaits_are_replayed_with_the_bits_they_have_alone() -> N
 
 def test_beside_a_policy_at_hand_one_that_is_not_is_replayed_and_that_is_said() -> None:
     trained = hexapod_rollouts("balance")
-    lost = [dataclasses.replace(m, policy_id="lost@1", rollout_id=f"{m.rollout_id}_lost") for m in trained]
+    lost = [
+        dataclasses.replace(
+            m, policy_id="lost@1", rollout_id=f"{m.rollout_id}_lost", joint_position=m.joint_position + 1e-9
+        )  # recordings of their own
+        for m in trained
+    ]
     gaits = hexapod_rollouts("gait:steps")
     controllers, said = find_controllers([*trained, *lost, *gaits], "auto", None)
     assert list(controllers) == [trained[0].policy_id]

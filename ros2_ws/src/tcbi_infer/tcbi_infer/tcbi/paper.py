@@ -3,6 +3,9 @@
 What Algorithm 1 leaves open, and how it is read here:
 
 - The discrepancy `D_i` of several statistics is the sum over statistics of the mean over each one's channels.
+- Line 5's index of the parent is that of the particle that was drawn.
+- Priors are the model's; that of the servos' gain is uniform in its logarithm, where section 3 samples uniformly.
+- The thresholds of convergence are 0.01: the paper gives none.
 - `sigma` is in shares of each parameter's prior range (on the parameter's scale); a step over a bound is reflected, so
   that no particle leaves the prior. Neither sigma nor tau has a value in the paper.
 - The reward has a sample per control step, as section 3 collects (s, a, r) at each t. Table 2 ("reward distribution

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_contract.wording import counted
 from tcbi_infer.errors import InferError
 from tcbi_infer.gaps import unusable
 from tcbi_infer.statistics import RolloutArrays, from_measurements
@@ -72,12 +73,20 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
             f"{len(distinct)} usable rollout(s), at least 2 are needed to see how rollouts differ (20 advised); "
             "record more"
         )
-    if _identical(distinct):
+    first: dict[bytes, Measurement] = {}
+    for m in distinct:
+        first.setdefault(m.joint_position.tobytes(), m)
+    unlike = list(first.values())
+    if len(unlike) == 1:
         raise InferError(
             f"all {len(distinct)} rollouts are identical to the last bit, so nothing shows how the robot differs from "
             "itself; record rollouts with other seeds or slopes"
         )
-    return distinct, warnings + _mixture(distinct)
+    if copies := len(distinct) - len(unlike):
+        warnings.append(
+            f"{counted(copies, 'rollout')} left out: another one again to the last bit, which tells nothing new"
+        )
+    return unlike, warnings + _mixture(unlike)
 
 
 def _without_the_blind(measurements: list[Measurement]) -> tuple[list[str], list[Measurement]]:
@@ -95,11 +104,6 @@ def _torn(m: Measurement) -> bool:
     """Whether samples or commands are missing in it, or a signal for more than `MOST_SILENT` of it."""
     found = unusable(m, np.arange(m.time[0], m.time[-1], FINE_S))
     return bool(found.samples.any()) or any(lost.mean() > MOST_SILENT for lost in found.signals.values())
-
-
-def _identical(measurements: Sequence[Measurement]) -> bool:
-    first = measurements[0].joint_position
-    return all(np.array_equal(m.joint_position, first) for m in measurements[1:])
 
 
 def _mixture(measurements: Sequence[Measurement]) -> list[str]:
