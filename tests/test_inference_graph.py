@@ -127,9 +127,9 @@ def test_finished_rollouts_become_a_posterior_an_error_and_a_training(start_grap
 
 
 def test_an_inference_whose_worker_is_killed_is_made_again(start_graph, peer, node, tmp_path):
-    write_rollouts(tmp_path / "bags", 0, 6)
     graph = start_graph(node)
     posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    write_rollouts(tmp_path / "bags", 0, 6)  # no earlier: the inference takes less time than the start
     peer.wait_until(lambda: bool(inferring(graph)), "the worker", WORK_S)
     inferring(graph)[0].kill()
     peer.wait_until(lambda: bool(posteriors), "the posterior of the second try", WORK_S)
@@ -239,9 +239,9 @@ def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node,
 
 
 def test_an_effect_that_is_added_during_an_inference_is_in_the_next_one(start_graph, peer, node, tmp_path):
-    write_rollouts(tmp_path / "bags", 0, 6)
     graph = start_graph(node)
     posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)
+    write_rollouts(tmp_path / "bags", 0, 6)  # no earlier: the inference takes less time than the start
     peer.wait_until(lambda: bool(inferring(graph)), "the inference", WORK_S)
     added = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latency"), AddEffect)
     assert added.success and added.model == f"{RIG}-v1", added.message

@@ -5,6 +5,7 @@ Stable-Baselines3's own archives are pickles; nothing here writes or reads one.
 
 import io
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -94,11 +95,13 @@ def make_algorithm(config: TrainingConfig, environment: HexapodVecEnv) -> BaseAl
         "seed": config.seed, "device": "cpu",
     }  # fmt: skip
     if config.algorithm == "ppo":
-        return PPO(
-            "MlpPolicy", environment, n_steps=environment.inner.steps, n_epochs=config.epochs,
-            gae_lambda=config.gae_lambda, clip_range=config.clip,
-            policy_kwargs={**layers, "log_std_init": float(np.log(config.noise))}, **common,
-        )  # fmt: skip
+        with warnings.catch_warnings():  # a set of whole episodes may end with a smaller minibatch than the others
+            warnings.filterwarnings("ignore", message="You have specified a mini-batch size")
+            return PPO(
+                "MlpPolicy", environment, n_steps=environment.inner.steps, n_epochs=config.epochs,
+                gae_lambda=config.gae_lambda, clip_range=config.clip,
+                policy_kwargs={**layers, "log_std_init": float(np.log(config.noise))}, **common,
+            )  # fmt: skip
     return SAC(
         "MlpPolicy", environment, tau=config.tau, gradient_steps=config.updates, train_freq=1,
         buffer_size=config.buffer, learning_starts=10 * config.batch_size, policy_kwargs=layers, **common,
