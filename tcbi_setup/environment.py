@@ -83,7 +83,7 @@ def _make(uv: Path, environment: dict[str, str]) -> None:
         run("making .venv", command, environment, "remove .venv and call again")
         return
     own = ".".join(str(part) for part in sys.version_info[:2])
-    say(f"the ROS wheels are for Python 3.11 to 3.13 and this machine has {own}: fetching {FETCHED} (30 MB) into .tcbi")
+    say(f"the ROS wheels are for Python 3.11 to 3.13 and this machine has {own}: fetching {FETCHED} into .tcbi")
     command = [uv, "venv", "--managed-python", "--python", FETCHED, VENV]
     remedy = (
         f"check the network, or get Python {FETCHED} yourself (on Ubuntu from ppa:deadsnakes/ppa: python{FETCHED} "
