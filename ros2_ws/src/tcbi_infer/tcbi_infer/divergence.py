@@ -18,6 +18,7 @@ from tcbi_sim.errors import UnknownNameError
 
 BINS = 20
 NARROW = 0.1  # share of the samples' whole range, below which the real ones' range is no measure of distance
+TINY = np.float32(1e-30)  # in place of a probability of zero under a logarithm
 LOG2 = float(np.log(2.0))  # the largest Jensen-Shannon divergence, in nats
 
 Divergence = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -44,10 +45,14 @@ class Binning:
     def index(self, samples: np.ndarray) -> np.ndarray:
         """Bin of each sample; NaN goes to bin `bins`, which `counts` drops."""
         inner = self.bins - 2
-        width = (self.high - self.low) / inner
-        near = np.clip(samples, self.low - width, self.high + width)  # the tails hold whatever lies beyond
-        position = np.clip(np.floor((near - self.low) / width) + 1, 0, self.bins - 1)
-        return np.nan_to_num(position, nan=self.bins).astype(np.int64)
+        position = np.subtract(samples, self.low, dtype=float)
+        with np.errstate(over="ignore"):  # the tails hold whatever lies beyond
+            position *= inner / (self.high - self.low)
+        np.floor(position, out=position)
+        position += 1
+        np.clip(position, 0, self.bins - 1, out=position)
+        position[np.isnan(position)] = self.bins
+        return position.astype(np.int64)
 
     def counts(self, samples: np.ndarray) -> np.ndarray:
         """(..., n) samples -> (..., bins) counts; infinite samples fall in the tails, NaN nowhere."""
@@ -59,13 +64,18 @@ class Binning:
         return total.reshape(*lead, self.bins + 1)[..., :-1]
 
 
+def _total(values: np.ndarray) -> np.ndarray:
+    """(..., B) -> (...), in a fifth of the time of `sum` where B is small."""
+    return np.einsum("...b->...", values)
+
+
 def _entropy(p: np.ndarray) -> np.ndarray:
-    return -np.sum(p * np.log(np.where(p > 0, p, 1)), axis=-1)
+    return -np.einsum("...b,...b->...", p, np.log(np.maximum(p, TINY)))
 
 
 def normalised(counts: np.ndarray) -> np.ndarray:
     """(..., B) counts -> probabilities; all zero where there is no count."""
-    total = counts.sum(axis=-1, keepdims=True)
+    total = _total(counts)[..., None]
     return counts / np.where(total > 0, total, 1)
 
 
@@ -75,7 +85,7 @@ def js_binned(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     Where one side has no sample at all the divergence is its largest value, log 2.
     """
     p, q = normalised(real), normalised(simulated)
-    empty = (p.sum(axis=-1) == 0) | (q.sum(axis=-1) == 0)
+    empty = (_total(p) == 0) | (_total(q) == 0)
     value = _entropy(0.5 * (p + q)) - 0.5 * (_entropy(p) + _entropy(q))
     return np.where(empty, LOG2, np.maximum(value, 0.0))
 

@@ -124,7 +124,11 @@ def test_the_weight_of_the_data_does_not_grow_with_the_number_of_particles(seed:
     """Energies that are parabolas, whose minimum moves by 0.4 over resampled rollouts."""
     rng = np.random.default_rng(seed)
     minima = 0.4 * np.sqrt(20) * rng.standard_normal(20)
-    monkeypatch.setattr(calibration, "divergences", lambda _, z, units: 25.0 * (z - units @ minima / 20) ** 2)
+
+    def parabolas(_, z: np.ndarray, resamples: np.ndarray) -> np.ndarray:
+        return 25.0 * (z - resamples @ minima / 20)[..., None] ** 2
+
+    monkeypatch.setattr(calibration, "resampled_divergences", parabolas)
     observed = Observed(np.zeros((20, 1, 1)), np.array([0]), ("x",), ("x/x",))
     found = []
     for count in (300, 3000, 12000):

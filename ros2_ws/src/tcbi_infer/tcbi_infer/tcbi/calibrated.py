@@ -22,7 +22,7 @@ import numpy as np
 from tcbi_contract.errors import describe
 from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import calibration
-from tcbi_infer.tcbi.features import Features, Observed, divergences
+from tcbi_infer.tcbi.features import Features, Observed
 from tcbi_infer.tcbi.proposal import (
     Proposal,
     draw,
@@ -129,9 +129,8 @@ def _weigh(
     settings: CalibratedSettings,
 ) -> tuple[CalibratedState, CalibratedInfo]:
     log_base = np.where(features.valid, log_prior(z) - log_mixture(proposals, z), -np.inf)
-    divergence = divergences(observed.counts, features.counts)
-    floors = calibration.floors(observed, features.counts, divergence, features.valid)
-    energy = calibration.energy(observed, divergence, floors.total)
+    floors = calibration.floors(observed, features.counts, features.divergence, features.valid)
+    energy = calibration.energy(observed, features.divergence, floors.total)
     energy = np.where(features.valid, energy - energy[features.valid].min(), np.inf)
     supported = calibration.calibrate(rng, observed, features.counts, floors.total, z, log_base, energy)
     supported = min(supported, settings.alpha)
@@ -139,7 +138,7 @@ def _weigh(
     log_weights = np.where(features.valid, log_base - alpha * np.where(features.valid, energy, 0.0), -np.inf)
     weights = normalised(log_weights)
     info = CalibratedInfo(
-        divergence=weights @ observed.by_statistic(divergence),
+        divergence=weights @ observed.by_statistic(features.divergence),
         ess=effective_sample_size(weights),
         alpha=alpha,
         alpha_supported=supported,

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.tcbi.features import Observed, divergences
+from tcbi_infer.tcbi.features import Observed, resampled_divergences
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 
 LARGEST_ALPHA = 0.5
@@ -94,7 +94,7 @@ def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usabl
 
 
 def energy(observed: Observed, divergence: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """(M,) sum over statistics of the mean over channels of (M, C) divergence / (C,) floor."""
+    """(...) sum over statistics of the mean over channels of (..., C) divergence / (C,) floor."""
     return observed.by_statistic(divergence / floor).sum(axis=-1)
 
 
@@ -124,7 +124,7 @@ def calibrate(
     counts, z, log_base, full = counts[order], z[order], log_base[order], full[order]
     units = len(observed.counts)
     resampled = rng.multinomial(units, np.full(units, 1 / units), size=RESAMPLES)
-    energies = np.stack([energy(observed, divergences(observed.counts, counts, w), floor) for w in resampled])
+    energies = energy(observed, resampled_divergences(observed.counts, counts, resampled), floor).T
     accepted = 0.0
     for alpha in np.geomspace(1e-4, LARGEST_ALPHA, 40):
         if _relative_movement(alpha, energies, full, z, log_base) > 1.0:

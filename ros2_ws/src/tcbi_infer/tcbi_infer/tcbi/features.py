@@ -13,6 +13,8 @@ from tcbi_infer.divergence import Binning, js_binned
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, Statistic, failing
 
+IN_CACHE = 5  # particles whose resamples are judged at a time: with 16 it takes twice as long
+
 
 class Features(NamedTuple):
     """Simulated rollouts of M particles."""
@@ -75,16 +77,21 @@ def binned(values: np.ndarray, binnings: list[Binning], blocks: int) -> np.ndarr
     return counts.reshape(n, s * blocks, c, -1)
 
 
-def divergences(real: np.ndarray, simulated: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-    """Jensen-Shannon divergence (M, C) of pooled counts.
+def divergences(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """Jensen-Shannon divergence (M, C) of pooled counts, of (U, C, B) and (M, U, C, B)."""
+    return js_binned(real.sum(axis=0), simulated.sum(axis=1))
+
+
+def resampled_divergences(real: np.ndarray, simulated: np.ndarray, resamples: np.ndarray) -> np.ndarray:
+    """Jensen-Shannon divergence (M, R, C) of counts pooled in R ways.
 
     Args:
       real: (U, C, B).
       simulated: (M, U, C, B).
-      weights: (U,) how often each unit counts; all once by default.
+      resamples: (R, U) how often each unit counts.
     """
-    if weights is None:
-        return js_binned(real.sum(axis=0), simulated.sum(axis=1))
-    w, shape = weights.astype(np.float32), simulated.shape
-    pooled = w @ simulated.reshape(*shape[:2], -1)
-    return js_binned(np.tensordot(w, real, axes=1), pooled.reshape(shape[0], *shape[2:]))
+    weights = resamples.astype(np.float32)
+    pooled = np.tensordot(weights, real, axes=1)
+    flat = simulated.reshape(*simulated.shape[:2], -1)
+    parts = [flat[begin : begin + IN_CACHE] for begin in range(0, len(flat), IN_CACHE)]
+    return np.concatenate([js_binned(pooled, (weights @ part).reshape(-1, *pooled.shape)) for part in parts])
