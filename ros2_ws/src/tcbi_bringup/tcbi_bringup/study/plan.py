@@ -97,8 +97,8 @@ class Plan:
 
 HOUR = Plan(
     {
-        "balance": TaskPlan("balance-early", 10, 32, 5, 20_480, 30, 5),
-        "forward": TaskPlan("forward", 8, 24, 4, 24_000, 30, 3),
+        "balance": TaskPlan("balance-early", 10, 32, 5, 20_480, 15, 5),  # 30 deployments of each method in all
+        "forward": TaskPlan("forward", 8, 24, 4, 24_000, 15, 2),
     },
     ((11, "strong"), (12, "strong")),
     tuple(name for name in CONTESTANTS if name != "tcbi_paper"),
