@@ -1,4 +1,4 @@
-"""bench/scale.py and bench/inference.py: what they measure runs, on a tiny problem and without Ray."""
+"""Benchmarks of inference and of its scale: what they measure runs, on a tiny problem and without Ray."""
 
 from collections.abc import Iterator
 from types import ModuleType
@@ -8,7 +8,7 @@ import pytest
 from tcbi_sim.model import base_model
 from tests.bench_modules import BENCH, bench_modules
 
-NAMES = ("engine", "scale_model", "scale", "inference")
+NAMES = ("engine", "scale_model", "scale", "inference", "iteration")
 
 
 @pytest.fixture(scope="module")
@@ -49,3 +49,11 @@ def test_what_is_timed_again_and_again_is_the_sixth_generation(bench) -> None:
     for _ in range(2):
         state, _ = step()
         assert state.generation == 6 and len(state.z) == 60
+
+
+def test_iterations_of_every_method_are_timed_with_and_without_their_simulations(bench, monkeypatch) -> None:
+    monkeypatch.setattr(bench["iteration"], "PARTICLES", 10)
+    found = {row["name"]: row["value"] for row in bench["iteration"].figures("balance", 2, 2.0, 2)}
+    for label in bench["iteration"].METHODS.values():
+        rest = found[f"balance: {label}, of it beside simulation, median"]
+        assert found[f"balance: {label}, an iteration, median"] > rest > 0
