@@ -79,7 +79,7 @@ def test_a_method_to_compare_with_says_what_its_posterior_is(bags, tmp_path, cap
         (("--particles", "1"), "--particles: got '1', allowed is a whole number, 10 or more", 2),
         (("--seed", "-1"), "--seed: got '-1', allowed is a whole number, 0 to 4294967295", 2),
         (("--timestep", "0"), "--timestep: got '0', allowed is a number, more than 0", 2),
-        (("--divergence", "mmd"), "method calibrated works with the divergence js alone", 2),
+        (("--method", "simopt", "--divergence", "mmd"), "method simopt looks at no divergence", 2),
         (("--method", "simopt", "--statistics", "reward"), "looks at trajectories, not at statistics", 2),
         (("--model", "hexapod-v0"), "is of rig hexapod", 1),
         (("--loop", "closed"), "policy 'steps' does not exist", 1),

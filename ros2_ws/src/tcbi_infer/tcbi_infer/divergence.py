@@ -15,6 +15,7 @@ import numpy as np
 from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
 from tcbi_sim.errors import UnknownNameError
+from tcbi_sim.user_file import told
 
 BINS = 20
 NARROW = 0.1  # share of the samples' whole range, below which the real ones' range is no measure of distance
@@ -214,3 +215,21 @@ def divergence(name: str) -> Divergence:
     if name not in library():
         raise UnknownNameError("divergence", name, tuple(library()))
     return library()[name]
+
+
+def measured(name: str, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """(N,) divergences of (N, m) samples, inf where the divergence gives NaN: no better than any.
+
+    Raises:
+      UnknownNameError: there is none of this name.
+      InferError: the divergence, which may be the user's, fails or gives another shape.
+    """
+    measure = divergence(name)
+    try:
+        values = np.asarray(measure(real, simulated), float)
+    except Exception as e:
+        file = getattr(getattr(measure, "__code__", None), "co_filename", name)
+        raise InferError(f"divergence {name} fails: {told(e, file)}") from e
+    if values.shape != simulated.shape[:1]:
+        raise InferError(f"divergence {name} gave shape {values.shape}, must be {simulated.shape[:1]}")
+    return np.where(np.isnan(values), np.inf, values)

@@ -7,6 +7,7 @@ import numpy as np
 
 from tcbi_infer.divergence import Binning
 from tcbi_infer.tcbi.features import Features, Observed, divergences
+from tcbi_infer.tcbi.pooled import pooled_divergence
 from tcbi_policy.artefact import find_policy
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
@@ -24,6 +25,7 @@ def normal_problem(
     between: float = 0.1,
     within: float = 0.3,
     simulated_within: float | None = None,
+    divergence: str = "js",
 ) -> tuple[Observed, Callable[[np.ndarray], Features], float]:
     """x = first parameter + rollout's offset + noise, both normal; `simulated_within` makes the simulator a wrong one.
 
@@ -42,12 +44,12 @@ def normal_problem(
     def counted(x: np.ndarray) -> np.ndarray:
         return binning.counts(x)[:, :, None].astype(np.float32)
 
-    observed = Observed(counted(real)[0], np.array([0]), ("x",), ("x/x",))
+    observed = Observed(counted(real)[0], np.array([0]), ("x",), ("x/x",), pooled_divergence(divergence, [binning]))
 
     def run(unit: np.ndarray) -> Features:
         counts = counted(draw(unit[:, 0], within if simulated_within is None else simulated_within))
         everyone = np.ones(len(unit), bool)
-        return Features(counts, divergences(observed.counts, counts), np.full(len(unit), np.nan), everyone)
+        return Features(counts, divergences(observed, counts), np.full(len(unit), np.nan), everyone)
 
     return observed, run, float(np.sqrt((between**2 + within**2 / samples) / rollouts))
 

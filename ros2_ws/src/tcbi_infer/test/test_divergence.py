@@ -6,7 +6,7 @@ from scipy.spatial.distance import jensenshannon
 
 from tcbi_infer.divergence import DIVERGENCES, LOG2, Binning, divergence, js, js_binned, js_nearest, wasserstein
 from tcbi_infer.errors import InferError
-from tcbi_infer.tcbi.features import divergences, resampled_divergences
+from tcbi_infer.tcbi.features import Observed, divergences, resampled_divergences
 from tcbi_sim.errors import UnknownNameError
 
 
@@ -116,14 +116,15 @@ def test_unknown_name_lists_the_known_ones() -> None:
 
 
 def test_resampled_divergences_are_those_of_the_pooled_counts() -> None:
-    """Of eleven particles, which are more than are judged at a time; units that count twice, and channels left empty."""
+    """Of eleven particles, more than are judged at a time; units that count twice, and channels left empty."""
     rng = np.random.default_rng(4)
     real, simulated = rng.poisson(3.0, (6, 4, 5)).astype(np.float32), rng.poisson(3.0, (11, 6, 4, 5)).astype(np.float32)
     real[:3, 1] = 0.0
     resamples = np.array([[1, 1, 1, 1, 1, 1], [3, 2, 1, 0, 0, 0], [0, 0, 2, 0, 1, 3]])
-    found = resampled_divergences(real, simulated, resamples)
+    observed = Observed(real, np.zeros(4, int), ("x",), ("x/x",) * 4)
+    found = resampled_divergences(observed, simulated, resamples)
     repeated = [np.repeat(np.arange(6), units) for units in resamples]
-    expected = np.stack([divergences(real[i], simulated[:, i]) for i in repeated], axis=1)
+    expected = np.stack([divergences(observed._replace(counts=real[i]), simulated[:, i]) for i in repeated], axis=1)
     assert found.shape == (11, 3, 4)
     np.testing.assert_allclose(found, expected, atol=2e-6)
     assert found[:, 1, 1] == pytest.approx(np.log(2.0))

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tcbi_infer.divergence import Binning
-from tcbi_infer.tcbi.calibration import floors, residual_noise
+from tcbi_infer.tcbi.calibration import floors
 from tcbi_infer.tcbi.features import Observed, binned, divergences
+from tcbi_infer.tcbi.pooled import JensenShannon
 from tcbi_infer.tcbi.result import POOR
 from tcbi_infer.tcbi.rollouts import blocks_for
 
@@ -19,7 +20,7 @@ def misfit_over_noise(rollouts: int, present: int, seed: int, channels: int = 6)
     counts = binned(samples, binnings, blocks)
     names = tuple(f"x/{c}" for c in range(channels))
     observed = Observed(counts[0], np.zeros(channels, int), ("x",), names)
-    found = floors(observed, counts[1:], divergences(counts[0], counts[1:]), np.ones(40, bool))
+    found = floors(observed, counts[1:], divergences(observed, counts[1:]), np.ones(40, bool))
     return float(found.misfit.mean() / found.noise.mean())
 
 
@@ -28,6 +29,10 @@ def test_a_right_model_with_samples_in_few_units_fits(rollouts: int, present: in
     """About 1.2 for two rollouts, less for more, with a standard deviation of 0.2: a median above in 1 of 1000."""
     ratios = [misfit_over_noise(rollouts, present, seed) for seed in range(5)]
     assert np.median(ratios) < 1.5 < POOR
+
+
+def residual_noise(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    return JensenShannon().noise(real, simulated)[0]
 
 
 def test_units_without_samples_change_nothing_and_units_with_more_weigh_more() -> None:

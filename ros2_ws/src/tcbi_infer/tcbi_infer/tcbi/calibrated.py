@@ -108,7 +108,7 @@ def step(
         weights = normalised(state.log_weights)
         drawn_from = proposal(settings.particles, state.z, weights, normal, settings.prior_share)
     fresh = draw(rng, drawn_from)
-    simulated = simulate(from_probit(fresh))
+    simulated = _finite(simulate(from_probit(fresh)))
     features = simulated if state.generation == 0 else state.features.join(simulated)
     z, proposals = np.concatenate([state.z, fresh]), (*state.proposals, drawn_from)
     if not features.valid.any():
@@ -117,6 +117,13 @@ def step(
             "narrow the parameters' bounds or lower the time step"
         )
     return _weigh(rng, state, z, features, proposals, observed, settings)
+
+
+def _finite(features: Features) -> Features:
+    """A simulation of which a divergence is not finite weighs nothing, like one that diverged."""
+    finite = np.isfinite(features.divergence).all(axis=1)
+    divergence = np.where(finite[:, None], features.divergence, 0.0)
+    return features._replace(divergence=divergence, valid=features.valid & finite)
 
 
 def _weigh(

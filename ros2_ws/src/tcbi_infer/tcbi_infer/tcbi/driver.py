@@ -24,6 +24,7 @@ from tcbi_contract.errors import describe
 from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.method import Generation, Method, find_method
+from tcbi_infer.tcbi.pooled import JS
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result, estimates, misfits, piled, prior_variances, unfinished
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
@@ -83,8 +84,8 @@ def infer(
     """
     chosen = find_method(method)
     given = settings_of(chosen, settings)
-    if problem.divergence_name != "js" and not chosen.any_divergence:
-        raise SettingError(f"method {method} works with the divergence js alone; leave it out, or take method paper")
+    if problem.divergence_name != JS and not chosen.any_divergence:
+        raise SettingError(f"method {method} looks at no divergence; leave it out, or take method calibrated or paper")
     place = None if folder is None else folder / run_name(problem, method, given, seed)
     loop = _Loop(problem, chosen, given, seed, place, watch)
     with _stopping(place):

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.divergence import Binning, js_binned
+from tcbi_infer.divergence import Binning
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, Statistic, failing
+from tcbi_infer.tcbi.pooled import JensenShannon, PooledDivergence
 
 IN_CACHE = 5  # particles whose resamples are judged at a time: with 16 it takes twice as long
 
@@ -36,6 +37,7 @@ class Observed(NamedTuple):
     statistic: np.ndarray  # (C,) index into `statistics`
     statistics: tuple[str, ...]
     channels: tuple[str, ...]  # C names, statistic/channel
+    measure: PooledDivergence = JensenShannon()  # of the histograms
 
     def by_statistic(self, values: np.ndarray) -> np.ndarray:
         """(..., C) -> (..., statistics): the mean over each statistic's channels."""
@@ -77,21 +79,21 @@ def binned(values: np.ndarray, binnings: list[Binning], blocks: int) -> np.ndarr
     return counts.reshape(n, s * blocks, c, -1)
 
 
-def divergences(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-    """Jensen-Shannon divergence (M, C) of pooled counts, of (U, C, B) and (M, U, C, B)."""
-    return js_binned(real.sum(axis=0), simulated.sum(axis=1))
+def divergences(observed: Observed, simulated: np.ndarray) -> np.ndarray:
+    """(M, C) of the pooled counts, of (M, U, C, B)."""
+    return observed.measure(observed.counts.sum(axis=0), simulated.sum(axis=1))
 
 
-def resampled_divergences(real: np.ndarray, simulated: np.ndarray, resamples: np.ndarray) -> np.ndarray:
-    """Jensen-Shannon divergence (M, R, C) of counts pooled in R ways.
+def resampled_divergences(observed: Observed, simulated: np.ndarray, resamples: np.ndarray) -> np.ndarray:
+    """Divergence (M, R, C) of counts pooled in R ways.
 
     Args:
-      real: (U, C, B).
+      observed: the real rollouts.
       simulated: (M, U, C, B).
       resamples: (R, U) how often each unit counts.
     """
     weights = resamples.astype(np.float32)
-    pooled = np.tensordot(weights, real, axes=1)
+    real = np.tensordot(weights, observed.counts, axes=1)
     flat = simulated.reshape(*simulated.shape[:2], -1)
     parts = [flat[begin : begin + IN_CACHE] for begin in range(0, len(flat), IN_CACHE)]
-    return np.concatenate([js_binned(pooled, (weights @ part).reshape(-1, *pooled.shape)) for part in parts])
+    return np.concatenate([observed.measure(real, (weights @ part).reshape(-1, *real.shape)) for part in parts])

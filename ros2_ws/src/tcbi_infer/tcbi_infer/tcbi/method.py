@@ -16,7 +16,7 @@ from tcbi_infer.baselines.trajectory import Trajectories
 from tcbi_infer.statistics import CALIBRATED, PAPER
 from tcbi_infer.tcbi import calibrated, paper
 from tcbi_infer.tcbi.features import Features, Observed
-from tcbi_infer.tcbi.problem import Problem, View, task_features
+from tcbi_infer.tcbi.problem import Problem, View, histogram_features, task_features
 from tcbi_infer.tcbi.weights import effective_sample_size, normalised
 from tcbi_sim.errors import UnknownNameError
 
@@ -56,7 +56,7 @@ class Method:
     labels: Callable[[Problem], tuple[str, ...]] = lambda problem: problem.observed.statistics  # of `divergence`
     caveat: str = ""  # what a reader of its posterior must know
     judges: bool = False  # whether its width says what the data tell, so that parameters can be called identified
-    any_divergence: bool = False  # whether it takes others than the histograms' Jensen-Shannon divergence
+    any_divergence: bool = False  # whether it looks at divergences at all
     by_task: bool = True  # whether it looks at the task's statistics, and not at trajectories
     check: Callable[[], None] = nothing  # raises where something is not installed
 
@@ -135,7 +135,9 @@ _ALL = (
         finished=calibrated.finished,
         posterior=lambda state, settings: calibrated.posterior(state),
         simulations=lambda state, settings: len(state.z),
+        view=histogram_features,
         judges=True,
+        any_divergence=True,
     ),
     Method(
         name="paper",

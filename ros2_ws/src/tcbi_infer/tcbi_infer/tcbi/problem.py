@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from tcbi_contract.errors import describe
-from tcbi_infer.divergence import BINS, Binning, divergence
+from tcbi_infer.divergence import BINS, Binning, divergence, measured
 from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, channels_of, divergences, samples
 from tcbi_infer.tcbi.loop import find_controllers
+from tcbi_infer.tcbi.pooled import JS, pooled_divergence
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
 from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noise_kept, noisier, sample_rate, sensor_noise
 from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
@@ -32,7 +33,6 @@ from tcbi_sim.model import Model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import multiply
-from tcbi_sim.user_file import told
 from tcbi_sim.workers import chunk_size, present
 
 # of a channel: with fewer the histogram of a right model may lie 6 to 11 times as far off as their scatter suggests (a
@@ -59,7 +59,7 @@ class Problem:
     rate: float
     seed: int = 0
     threads: int = 0
-    divergence_name: str = "js"
+    divergence_name: str = JS
     warnings: tuple[str, ...] = field(default_factory=tuple)
     prior: Prior | None = None  # None: flat
 
@@ -70,7 +70,7 @@ class Problem:
         measurements: Sequence[Measurement],
         *,
         statistics: tuple[str, ...] = CALIBRATED,
-        divergence_name: str = "js",
+        divergence_name: str = JS,
         loop: str = "auto",
         prior: str = FLAT,
         policies: Path | None = None,
@@ -85,7 +85,7 @@ class Problem:
           model: structure and parameters.
           measurements: the real rollouts.
           statistics: by name; those that the rollouts lack are left out with a warning.
-          divergence_name: of `tcbi_infer.divergence`, used by the `paper` method.
+          divergence_name: of `tcbi_infer.divergence`, used by TCBI in both modes.
           loop: "open", "closed", or "auto".
           prior: "flat" within the parameters' bounds, or "model" to go on from what the model's particles say; these
             rollouts must be new then, since data must not count twice.
@@ -131,6 +131,7 @@ class Problem:
             np.array([present.index(o) for o in owner]),
             tuple(kept[i].name for i in present),
             tuple(names[i] for i in used),
+            pooled_divergence(divergence_name, binnings),
         )
         nominal = load_rig(model.rig).noise
         noise = sensor_noise(usable, nominal)
@@ -232,38 +233,31 @@ View = Callable[[Problem, list[RolloutArrays], np.ndarray], Any]
 
 
 def task_features(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> Features:
-    """The view of TCBI: histograms of the task's statistics."""
+    """The view of TCBI as published: histograms of the task's statistics, and divergences of their samples."""
+    parts, used, counts = _binned(problem, rollouts)
+    if problem.divergence_name == JS:  # equal to pooling samples, and the counts are there already
+        divergence = divergences(problem.observed, counts)
+    else:
+        pooled = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in _by_channel(parts)]
+        pairs = zip(problem.real_samples, used, strict=True)
+        divergence = np.stack([measured(problem.divergence_name, real, pooled[i]) for real, i in pairs], -1)
+    return Features(counts, divergence, _mean_reward(problem.statistics, parts), valid)
+
+
+def histogram_features(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> Features:
+    """The view of calibrated TCBI: histograms, and their divergences, which resampled rollouts have, too."""
+    parts, _, counts = _binned(problem, rollouts)
+    divergence = divergences(problem.observed, counts)
+    return Features(counts, divergence, _mean_reward(problem.statistics, parts), valid)
+
+
+def _binned(problem: Problem, rollouts: list[RolloutArrays]) -> tuple[list[list[np.ndarray]], list[int], np.ndarray]:
+    """Samples of each group and statistic, which channels count, and (N, U, C, B) histograms of these."""
     parts = [[samples(statistic, arrays) for statistic in problem.statistics] for arrays in rollouts]
     names, _, _ = _channels(problem.statistics, list(problem.groups), None)
     used = [names.index(name) for name in problem.observed.channels]
     counts = _counts(parts, [arrays.count for arrays in rollouts], used, list(problem.binnings), problem.blocks)
-    divergence = _divergence(problem, counts, parts, used)
-    return Features(counts, divergence, _mean_reward(problem.statistics, parts), valid)
-
-
-def _divergence(problem: Problem, counts: np.ndarray, parts: list[list[np.ndarray]], used: list[int]) -> np.ndarray:
-    if problem.divergence_name == "js":  # equal to pooling samples, and the counts are there already
-        return divergences(problem.observed.counts, counts)
-    pooled = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in _by_channel(parts)]
-    name = problem.divergence_name
-    return np.stack([_measured(name, real, pooled[i]) for real, i in zip(problem.real_samples, used, strict=True)], -1)
-
-
-def _measured(name: str, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-    """(N,) divergences of (N, m) samples, inf where the divergence gives NaN: no better than any.
-
-    Raises:
-      InferError: the divergence, which may be the user's, fails or gives another shape.
-    """
-    measure = divergence(name)
-    try:
-        values = np.asarray(measure(real, simulated), float)
-    except Exception as e:
-        file = getattr(getattr(measure, "__code__", None), "co_filename", name)
-        raise InferError(f"divergence {name} fails: {told(e, file)}") from e
-    if values.shape != simulated.shape[:1]:
-        raise InferError(f"divergence {name} gave shape {values.shape}, must be {simulated.shape[:1]}")
-    return np.where(np.isnan(values), np.inf, values)
+    return parts, used, counts
 
 
 def as_arrays(rollouts: SimulatedRollouts, group: Group, closed: bool) -> RolloutArrays:

@@ -1,0 +1,113 @@
+"""Divergences of samples on histograms: near those of the samples, with a noise floor of their own, and calibrated."""
+
+import numpy as np
+import pytest
+from tcbi_cases import normal_problem
+
+from tcbi_infer.divergence import Binning, divergence
+from tcbi_infer.tcbi import calibrated
+from tcbi_infer.tcbi.calibration import floors
+from tcbi_infer.tcbi.features import Observed, binned, divergences
+from tcbi_infer.tcbi.pooled import POINTS, JensenShannon, OfSamples, pooled_divergence, stand_ins
+from tcbi_infer.tcbi.weights import mean_and_variance, normalised, quantiles
+
+OTHERS = ("wasserstein", "mmd", "js_nearest")
+
+
+def test_stand_ins_follow_the_histogram_they_stand_for() -> None:
+    samples = np.random.default_rng(0).normal(2.0, 0.5, 4000)
+    binning = Binning.of(samples[:3000])
+    found = stand_ins(binning.counts(samples[None])[0], binning)
+    assert found.shape == (POINTS,) and np.all(np.diff(found) >= 0)
+    expected = np.quantile(samples, np.linspace(0, 1, POINTS))
+    np.testing.assert_allclose(found[1:-1], expected[1:-1], atol=(binning.high - binning.low) / 18)
+
+
+def test_an_empty_histogram_has_no_samples_and_a_tail_lies_beyond_the_range() -> None:
+    binning = Binning(0.0, 1.0, 12)
+    counts = np.zeros((2, 12))
+    counts[1, -1] = 5
+    nothing, beyond = stand_ins(counts, binning)
+    assert np.isnan(nothing).all()
+    assert beyond.min() > 1.0 and beyond.max() < 1.1 + 1e-9
+
+
+@pytest.mark.parametrize(("name", "tolerance"), [("wasserstein", 0.1), ("mmd", 0.25), ("js_nearest", 0.5)])
+def test_a_divergence_of_pooled_histograms_is_near_that_of_the_samples(name: str, tolerance: float) -> None:
+    """By nearest neighbours it smooths more, as fewer samples are further apart."""
+    rng = np.random.default_rng(1)
+    real, moved = rng.normal(0.0, 1.0, (1, 600)), rng.normal([[0.0], [0.7], [1.5]], 1.0, (3, 600))
+    binning = Binning.of(real)
+    found = OfSamples(name, (binning,))(binning.counts(real), binning.counts(moved)[:, None])[:, 0]
+    expected = divergence(name)(real[0], moved)
+    assert found[0] < found[1] < found[2]
+    np.testing.assert_allclose(found[1:], expected[1:], rtol=tolerance)
+
+
+def test_a_robot_without_samples_tells_nothing() -> None:
+    binning = Binning(0.0, 1.0, 10)
+    assert np.all(OfSamples("mmd", (binning,))(np.zeros((1, 10)), np.ones((4, 1, 10))) == 0)
+
+
+@pytest.mark.parametrize("name", ["js", *OTHERS])
+def test_the_noise_floor_is_what_a_right_model_is_left_with(name: str) -> None:
+    """Of 12 channels, 20 rollouts with offsets of their own: the mean over channels has a standard error of a fifth."""
+    rng = np.random.default_rng(2)
+    samples = rng.standard_normal((2, 20, 12, 60)) + 0.3 * rng.standard_normal((2, 20, 12, 1))
+    binnings = [Binning.of(samples[0, :, c]) for c in range(12)]
+    real, simulated = binned(samples, binnings, 1)
+    measure = pooled_divergence(name, binnings)
+    noise, freedom = measure.noise(real, simulated)
+    left = measure(real.sum(axis=0), simulated.sum(axis=0)[None])[0]
+    assert 0.5 < left.mean() / noise.mean() < 2.0
+    assert np.all(freedom >= 1.0)
+
+
+def test_js_keeps_its_closed_form() -> None:
+    assert isinstance(pooled_divergence("js", ()), JensenShannon)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_right_model_is_not_called_wrong(name: str) -> None:
+    rng = np.random.default_rng(3)
+    samples = rng.standard_normal((41, 20, 3, 20))
+    binnings = [Binning.of(samples[0, :, c]) for c in range(3)]
+    counts = binned(samples, binnings, 1)
+    names = tuple(f"x/{c}" for c in range(3))
+    observed = Observed(counts[0], np.zeros(3, int), ("x",), names, pooled_divergence(name, binnings))
+    found = floors(observed, counts[1:], divergences(observed, counts[1:]), np.ones(40, bool))
+    assert found.misfit.mean() < 1.5 * found.noise.mean()
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_the_posterior_covers_the_truth_with_any_divergence(name: str) -> None:
+    """Six truths: were the 90 % intervals exact, fewer than four hits would have probability 1.6 %."""
+    hits, ratios = 0, []
+    for seed in range(6):
+        truth = float(np.random.default_rng([seed, 1]).uniform(0.2, 0.8))
+        observed, simulate, exact = normal_problem(truth, seed, divergence=name)
+        settings, state = calibrated.CalibratedSettings(particles=40, generations=4), calibrated.init(1)
+        while not calibrated.finished(state, settings):
+            rng = np.random.default_rng([seed, state.generation])
+            state, _ = calibrated.step(rng, state, simulate, observed, settings)
+        unit, log_weights = calibrated.posterior(state)
+        weights = normalised(log_weights)
+        low, high = quantiles(unit, weights, [0.05, 0.95])[:, 0]
+        hits += low <= truth <= high
+        ratios.append(np.sqrt(mean_and_variance(unit, weights)[1][0]) / exact)
+    assert hits >= 4
+    assert 0.7 < np.median(ratios) < 4.0
+
+
+def test_a_simulation_whose_divergence_is_not_finite_weighs_nothing() -> None:
+    observed, simulate, _ = normal_problem(0.5, 0)
+
+    def spoilt(unit: np.ndarray):
+        features = simulate(unit)
+        features.divergence[unit[:, 0] < 0.3] = np.inf
+        return features
+
+    settings = calibrated.CalibratedSettings(particles=40)
+    state, _ = calibrated.step(np.random.default_rng(0), calibrated.init(1), spoilt, observed, settings)
+    unit, log_weights = calibrated.posterior(state)
+    assert np.all(np.isinf(log_weights[unit[:, 0] < 0.3])) and np.isfinite(log_weights[unit[:, 0] >= 0.3]).all()
