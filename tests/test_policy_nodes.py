@@ -303,8 +303,24 @@ def test_retraining_is_cancelled_at_once_and_resumed_and_says_whether_the_result
     assert np.isfinite(told.mean_return) and 0 <= told.remaining_s <= goal.budget_s
     result = peer.end(sent, "the result", 110.0).result
     assert result.success, result.message
-    assert result.accepted == (result.message.startswith("better"))
+    assert result.message.startswith("better" if result.accepted else "not better")
     assert np.isfinite([result.return_before, result.return_after]).all()
+
+
+@pytest.mark.slow
+def test_a_worse_policy_leaves_the_one_in_use(start_graph: Any, peer: Any, tmp_path: Any) -> None:
+    """One set of episodes from scratch, against a policy of 160 processor seconds."""
+    retrain = NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(tmp_path)})
+    start_graph(policy_node(policy="balance", store=str(tmp_path)), retrain)
+    status = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(status), "the policy in use")
+    client = ActionClient(peer.node, Retrain, names.RETRAIN)
+    goal = Retrain.Goal(task="balance", policy="none", budget_steps=1)
+    result = peer.end(peer.send(client, Retrain, goal), "the result", 110.0).result
+    assert result.success and not result.accepted, result.message
+    assert result.message.startswith("not better with confidence: return")
+    assert result.return_after < result.return_before
+    assert {heard.data for heard in status} == {find_policy("balance").policy_id}
 
 
 @pytest.mark.slow

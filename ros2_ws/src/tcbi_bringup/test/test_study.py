@@ -24,7 +24,18 @@ from tcbi_bringup.study import tables
 from tcbi_bringup.study.experiment import Experiment
 from tcbi_bringup.study.notebook import Notebook, hold
 from tcbi_bringup.study.page import write
-from tcbi_bringup.study.plan import CONTESTANTS, EFFECT, FIRST, PRESETS, WINNER, Plan, TaskPlan, chosen
+from tcbi_bringup.study.plan import (
+    CONTESTANTS,
+    EFFECT,
+    FIRST,
+    PRESETS,
+    WINNER,
+    Plan,
+    TaskPlan,
+    chosen,
+    cost,
+    of_what_is_there,
+)
 from tcbi_bringup.study.robots import Laboratory, Order
 from tcbi_contract.errors import UsageError
 from tcbi_infer.baselines.prior import PriorSettings
@@ -211,6 +222,42 @@ def test_a_part_of_a_preset_can_be_chosen_and_what_is_unknown_is_named() -> None
             chosen(**{"preset": "hour", **wrong})
 
 
+def test_a_report_shows_what_was_worked_on_unless_something_is_named() -> None:
+    keys = [
+        ("diagnose", 13),
+        ("collect", "balance", 11),
+        ("infer", "balance", 13, "abc"),
+        ("deploy", "balance", 11, FIRST),
+    ]
+    plan = of_what_is_there(PRESETS["hour"], keys)
+    assert plan.robots == ((11, "strong"), (13, "strong"))
+    assert list(plan.tasks) == ["balance"] and plan.contestants == ("abc",)
+    named = of_what_is_there(chosen("hour", robots="12", tasks="forward"), keys, "12", "forward")
+    assert named.robots == ((12, "strong"),) and list(named.tasks) == ["forward"]
+    assert of_what_is_there(PRESETS["hour"], []) == PRESETS["hour"]
+
+
+def test_every_piece_has_a_share_of_the_estimate() -> None:
+    assert all(cost(piece) > 0 for plan in PRESETS.values() for piece in plan.pieces())
+    assert cost(("infer", "forward", 11, "fixed_dr")) < cost(("infer", "forward", 11, WINNER))
+
+
+def test_the_page_on_the_study_has_the_presets_sizes() -> None:
+    page = (Path(__file__).resolve().parents[4] / "docs" / "study.md").read_text()
+    for name, plan in PRESETS.items():
+        tasks = list(plan.tasks.values())
+
+        def each(of: Callable[[TaskPlan], str], tasks: list[TaskPlan] = tasks) -> str:
+            return ", ".join(dict.fromkeys(of(task) for task in tasks))
+
+        cells = (
+            f"`{name}`", str(len(plan.robots)), each(lambda t: str(t.rollouts)),
+            each(lambda t: f"{t.particles} x {t.generations}"), each(lambda t: str(t.steps)),
+            each(lambda t: str(t.deployments)), each(lambda t: str(t.noisy)),
+        )  # fmt: skip
+        assert f"| {' | '.join(cells)} |" in page
+
+
 def test_a_folder_with_a_study_of_other_sizes_is_refused_and_more_robots_are_not(tmp_path: Path) -> None:
     Experiment(chosen("hour", tasks="balance"), tmp_path, Laboratory(1))
     Experiment(chosen("hour", robots="1,2,3"), tmp_path, Laboratory(1))
@@ -249,7 +296,7 @@ def test_the_whole_experiment_runs_once_and_ends_in_tables_and_figures(tmp_path:
     fixed = [row for row in found["variance_reduction"] if row["name"] == "fixed_dr"]
     assert all(abs(row["variance_reduction"]) < 0.3 for row in fixed)
     page = write(findings, tmp_path / "study.html").read_text()
-    assert all(f"Figure{what}" in page for what in ("s 6 to 8", " 9", " 11", " 12")) and "Table 6" in page
+    assert all(f"Figure{what}" in page for what in (" 6", " 7", " 8", " 9", " 11", " 12")) and "Table 6" in page
 
 
 SMALL = Plan(

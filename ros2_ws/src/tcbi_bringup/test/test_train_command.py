@@ -14,6 +14,7 @@ from tcbi_bringup.commands import train
 from tcbi_bringup.errors import BringupError, WrongCallError
 from tcbi_policy import artefact
 from tcbi_policy.artefact import Policy, find_policy, save_policy
+from tcbi_policy.errors import TrainingError
 from tcbi_sim.store import ModelStore
 
 LATE = ("command_latency",)
@@ -49,6 +50,42 @@ def test_a_policy_without_a_name_is_refused_before_the_training(out: str, tmp_pa
     train.add_arguments(parser)
     with pytest.raises(WrongCallError, match=r"--out: got .*, allowed is a name"):
         train.plan(parser.parse_args(["--task", "balance", "--out", out]), ModelStore(tmp_path))
+
+
+def planned(tmp_path: Path, *words: str) -> object:
+    parser = argparse.ArgumentParser()
+    train.add_arguments(parser)
+    return train.plan(parser.parse_args(["--task", "balance", *words]), ModelStore(tmp_path))
+
+
+def test_a_policy_that_is_there_is_not_written_over(tmp_path: Path) -> None:
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    save_policy(tmp_path / "policies" / "mine", shipped.mlp, shipped.card)
+    with pytest.raises(WrongCallError, match=r"--out: .*mine\.safetensors is there already; give another name"):
+        planned(tmp_path, "--out", "mine")
+    with pytest.raises(WrongCallError, match="is there already"):
+        planned(tmp_path, "--out", str(tmp_path / "policies" / "mine.safetensors"))
+    planned(tmp_path, "--out", "another")
+
+
+def test_a_place_that_cannot_be_written_to_is_refused_before_the_training(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for folder in (str(tmp_path / "file"), "/proc/nope"):
+        with pytest.raises(BringupError, match=r"name a folder that can be written to"):
+            planned(tmp_path, "--out", f"{folder}/walker.safetensors")
+
+
+def test_a_gait_is_no_start_and_a_policy_of_another_task_is_said(tmp_path: Path, capsys) -> None:
+    with pytest.raises(WrongCallError, match=r"--start: got gait:tripod, a scripted gait; allowed is a trained policy"):
+        planned(tmp_path, "--start", "gait:tripod")
+    planned(tmp_path, "--start", "forward")
+    assert "was trained for forward; it goes on with balance" in capsys.readouterr().err
+
+
+def test_an_effect_that_is_named_twice_is_refused_as_that(tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="effect lost_commands is named twice"):
+        planned(tmp_path, "--effect", "lost_commands", "--effect", "lost_commands")
 
 
 def test_a_log_that_cannot_be_copied_is_one_line_after_the_policy_is_kept(

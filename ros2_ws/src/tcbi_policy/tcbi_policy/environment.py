@@ -16,6 +16,7 @@ reward are the engine's and `reward.step_rewards`; there is no copy of either he
 """
 
 import dataclasses
+import math
 import secrets
 from typing import Any
 
@@ -23,11 +24,15 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
+from tcbi_contract.errors import describe
 from tcbi_contract.names import CONTROL_PERIOD_S
+from tcbi_policy.errors import TrainingError
+from tcbi_policy.layout import HEXAPOD, check_fit, robot_layout
 from tcbi_policy.reward import inclination, progress, step_rewards
 from tcbi_sim.engine import Simulator
 from tcbi_sim.measurement import Block, Scenario, observation, roll_pitch_yaw
 from tcbi_sim.model import Model, base_model
+from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples
 from tcbi_sim.tasks import find_task, tasks
 
@@ -71,7 +76,17 @@ class HexapodVectorEnv(VectorEnv):
             equation 14); the reward sees the true state.
           timestep: s of the physics.
           threads: 0 for all processors.
+
+        Raises:
+          PolicyMisfit: the model is of a robot that these tasks cannot move; it says what differs.
+          TrainingError: no simulations, or noise that is no number.
         """
+        rig = load_rig(model.rig)
+        check_fit(f"of {task}", HEXAPOD, robot_layout(rig.joint_names, rig.joint_range))
+        if count < 1:
+            raise TrainingError(describe("count", count, "1 or more simulations"))
+        if not 0 <= observation_noise < math.inf:
+            raise TrainingError(describe("observation_noise", observation_noise, "0 or more, and finite, rad"))
         self.model, self.task, self.num_envs, self.generation = model, find_task(task), count, 0
         self._seed = secrets.randbits(32) if seed is None else seed
         self._squash, self._observation_noise = squash, observation_noise

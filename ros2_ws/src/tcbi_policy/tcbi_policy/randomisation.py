@@ -66,11 +66,14 @@ def randomised(model: Model, effects: tuple[str, ...], share: float = 0.5, seed:
       seed: of the draws.
 
     Raises:
-      TrainingError: a share beyond 0 to 1, or an effect that cannot be switched off.
+      TrainingError: a share beyond 0 to 1, an effect that cannot be switched off, or one twice.
       SimError: an unknown effect, or one that the model has already.
     """
     if not 0.0 < share <= 1.0:
         raise TrainingError(describe("effect_share", share, "more than 0 and up to 1"))
+    twice = sorted({effect for effect in effects if effects.count(effect) > 1})
+    if twice:
+        raise TrainingError(f"effect {', '.join(twice)} is named twice; name each once")
     if not effects:
         return model
     rng = np.random.default_rng([seed, 49979687])

@@ -143,6 +143,7 @@ class Training:
             self._count()
         self._clock()
         self._evaluate()
+        self.progress()
         policy = self._artefact()
         self._save()
         done = {"policy": str(policy.path), "policy_id": policy.policy_id, "mean_return": self.state.best}

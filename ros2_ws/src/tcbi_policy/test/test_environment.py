@@ -8,6 +8,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from tcbi_policy.environment import HexapodEnv, HexapodVectorEnv, register
+from tcbi_policy.errors import PolicyError
 from tcbi_policy.gaits import Gait
 from tcbi_policy.reward import simulated_rewards
 from tcbi_sim.engine import simulate
@@ -33,6 +34,19 @@ def episode() -> tuple[HexapodVectorEnv, list[np.ndarray], np.ndarray, list[dict
         rewards.append(reward)
         infos.append(info)
     return environment, seen, np.array(rewards), infos
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"count": 0}, "count: got 0, allowed is 1 or more"),
+        ({"count": 1, "observation_noise": float("nan")}, "observation_noise: got nan"),
+        ({"count": 1, "model": base_model("servo_bench")}, "does not fit this robot: observation needs lf_coxa"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused_by_what_is_wrong(given: dict, said: str) -> None:
+    with pytest.raises(PolicyError, match=said):
+        HexapodVectorEnv(**{"model": MODEL, "task": "balance", **given})
 
 
 def test_rewards_and_observations_are_those_of_the_engine(episode: tuple) -> None:

@@ -259,6 +259,16 @@ def test_a_job_ends_with_a_verdict_and_only_a_better_policy_is_kept(tmp_path: Pa
 
 
 @SUBPROCESS
+def test_a_worse_successor_is_not_kept_and_the_verdict_says_so(tmp_path: Path) -> None:
+    """From scratch, after 320 steps, against a policy of 160 processor seconds."""
+    outcome = retrain(job(tmp_path, start="none"), lambda event: None)
+    assert not outcome.accepted and outcome.reference == ""
+    assert outcome.message.startswith("not better with confidence: return")
+    assert outcome.return_after < outcome.return_before - 100
+    assert next_name(tmp_path, "balance") == "balance-1", "nothing was kept"
+
+
+@SUBPROCESS
 def test_a_hopeless_rival_is_replaced_by_a_policy_with_a_name_of_its_own(tmp_path: Path) -> None:
     robust(tmp_path, observation_noise=0.01)
     outcome = retrain(job(tmp_path, current="gait:dither", start="robust", budget_steps=1), lambda event: None)

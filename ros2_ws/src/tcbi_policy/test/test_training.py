@@ -284,7 +284,7 @@ def test_a_budget_ends_the_copying_of_a_gait_too_which_says_how_far_it_is(
     config = dataclasses.replace(TINY, imitate="tripod", imitate_rounds=1000, budget_s=5e5)
     training = Training(tmp_path, config, MODEL, report=told)
     training.run()
-    assert [e["event"] for e in events] == [*["imitation", "progress"] * 2, "evaluation", "done"]
+    assert [e["event"] for e in events] == [*["imitation", "progress"] * 2, "evaluation", "progress", "done"]
     assert 0.0 < events[1]["share"] < 1.0 and 0.0 < events[1]["remaining_s"] < 5e5 and events[3]["remaining_s"] == 0.0
     assert training.state.steps == 0
 

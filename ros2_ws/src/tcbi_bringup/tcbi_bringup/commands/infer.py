@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="comma-separated, instead of the method's own (`reward` is the paper's ablation); +NAME adds to them",
     )
     parser.add_argument(
-        "--divergence", default="js", help="of the paper method: js (default), js_nearest, wasserstein, mmd"
+        "--divergence", default="js", help="of TCBI: js (default), js_nearest, wasserstein, mmd, or one of your own"
     )
     parser.add_argument(
         "--loop",

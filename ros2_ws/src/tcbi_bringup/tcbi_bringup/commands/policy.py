@@ -1,6 +1,7 @@
 """`./tcbi policy`: list, show, measure and export policies."""
 
 import argparse
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """List, show or measure."""
-    from tcbi_policy.artefact import find_policy
+    from tcbi_policy.artefact import Policy, find_policy
     from tcbi_sim.store import ModelStore
 
     store = ModelStore(args.store)
@@ -59,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
         return _list(args, store.root)
     policy = find_policy(args.policy, store.root)
     facts = _facts(policy)
+    if args.json and isinstance(policy, Policy):
+        facts["card"] = dataclasses.asdict(policy.card)
     if args.onnx:
         facts["onnx"] = _export(policy, args.onnx)
     if args.measure:

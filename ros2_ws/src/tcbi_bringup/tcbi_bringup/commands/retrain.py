@@ -13,13 +13,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which policy, on which model, and for how long."""
     console.add_task(parser, required=True)
     parser.add_argument(
-        "--policy", default="", help="the policy to beat, and to start from (default: the newest of the task)"
+        "--policy",
+        default="",
+        help="the policy to beat, and to start from if it is for this task (default: the newest)",
     )
     parser.add_argument("--scratch", action="store_true", help="train from scratch instead of from that policy")
     console.add_model(parser, "model version whose posterior is drawn from")
     parser.add_argument("--seed", type=seed, default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument(
-        "--steps", type=at_least(1), default=0, help="control steps of all simulations together (default: the preset's)"
+        "--steps",
+        type=at_least(1),
+        default=0,
+        help="control steps of all simulations together (default: 57600, or so many as the task needs at least)",
     )
     parser.add_argument(
         "--budget", type=above(0.0), default=0.0, metavar="SECONDS",
@@ -46,7 +51,8 @@ def run(args: argparse.Namespace) -> int:
     job = Job(args.task, current, start, args.model, root, args.budget, args.steps, args.seed)
     planned = plan(job)
     console.note_model(args.model, planned.model)
-    console.note(f"training against {current} on {planned.model}")
+    begins = f"from {planned.start}" if planned.start else "from scratch"
+    console.note(f"training {begins} against {current} on {planned.model}; interrupted, the same command goes on")
     with console.progress("training", total=1.0) as advance:
         outcome = retrain(job, lambda event: follow(event, advance))
     result: dict[str, Any] = {

@@ -21,9 +21,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--robots", default="", metavar="N,N", help="numbers of emulated robots (default: the preset's)"
     )
     parser.add_argument("--tasks", default="", help="balance, forward, or both with a comma (default: both)")
-    parser.add_argument("--methods", default="", metavar="NAME,NAME", help="default: the preset's")
+    parser.add_argument(
+        "--methods",
+        default="",
+        metavar="NAME,NAME",
+        help="of fixed_dr, abc, simopt, bayesopt, tcbi_reward, tcbi_paper, tcbi, tcbi_effect (default: the preset's)",
+    )
     parser.add_argument("--out", type=folder_path, help="folder of the study (default: study-PRESET in the store)")
-    parser.add_argument("--report", action="store_true", help="only write the tables of what is there already")
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="only write the tables of what is there already, whichever robots, tasks and methods",
+    )
     parser.add_argument("--threads", type=at_least(0), default=0, help="0 (default) for all processors")
     console.add_store(parser)
     console.add_json(parser)
@@ -39,14 +48,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Go on with the study, and write what there is."""
     from tcbi_bringup.study.experiment import Experiment, check_report
-    from tcbi_bringup.study.notebook import hold
-    from tcbi_bringup.study.plan import chosen
+    from tcbi_bringup.study.notebook import Notebook, hold
+    from tcbi_bringup.study.plan import chosen, of_what_is_there
     from tcbi_bringup.study.robots import Laboratory
 
     plan = chosen(args.preset, args.robots, args.tasks, args.methods)
     folder = (args.out or console.store_folder(args.store) / f"study-{args.preset}").expanduser().absolute()
     if args.report:
         check_report(plan, folder)
+        there = Notebook(folder / "study.jsonl").keys()
+        plan = of_what_is_there(plan, there, args.robots, args.tasks, args.methods)
         data = _report(args.preset, plan, folder)
     else:
         threads = args.threads or len(os.sched_getaffinity(0))
@@ -54,6 +65,9 @@ def run(args: argparse.Namespace) -> int:
             experiment = Experiment(plan, folder, laboratory, threads)
             try:
                 _work(experiment)
+            except KeyboardInterrupt:
+                console.note("stopping once the rollouts at work are done; the same command goes on")
+                raise
             finally:
                 data = _report(args.preset, plan, folder)
     if args.json:
@@ -78,13 +92,16 @@ def _report(preset: str, plan: Any, folder: Path) -> dict[str, Any]:
 
 def _work(experiment: Any) -> None:
     """All pieces; those of an earlier run are only counted."""
+    from tcbi_bringup.study.plan import cost
+
     pieces = list(experiment.plan.pieces())
     told: set[str] = set()
     left = [piece for piece in pieces if piece not in experiment.notebook]
     console.note(f"{len(pieces)} pieces of work, {len(pieces) - len(left)} of them done, in {experiment.folder}")
-    with console.progress("study", total=len(left)) as advance:
+    costs = [cost(piece) for piece in left]
+    with console.progress("study", total=sum(costs)) as advance:
         for number, piece in enumerate(left):
-            advance(done=number, note=" ".join(map(str, piece)))
+            advance(done=sum(costs[:number]), note=f"{' '.join(map(str, piece))} ({number + 1} of {len(left)})")
             why = experiment.do(piece).get("left_out")
             if why and why not in told:
                 told.add(why)
@@ -93,6 +110,7 @@ def _work(experiment: Any) -> None:
 
 def _print(data: dict[str, Any]) -> None:
     from tcbi_bringup.study.page import range_of
+    from tcbi_contract.wording import counted
 
     for task, found in data["tasks"].items():
         rows = [
@@ -101,12 +119,31 @@ def _print(data: dict[str, Any]) -> None:
             for r in found["performance"]
         ]  # fmt: skip
         head = ["retrained on", "return", "sd", "95 %", "inclination / deg", "distance / cm", "divergence", "rollouts"]
-        console.table(f"{task}, on {len(data['robots'])} robots", head, rows)
+        console.table(f"{task}, on {counted(len(data['robots']), 'robot')}", head, rows)
         rows = [
-            [r["label"], r.get("gain_returns"), r.get("p_returns"), r.get("p_returns_holm"), r.get("p_divergence")]
+            [
+                r["label"],
+                r.get("gain_returns"),
+                range_of(r, "gain_returns"),
+                r.get("p_returns"),
+                r.get("p_returns_holm"),
+                r.get("p_divergence"),
+            ]
             for r in found["comparisons"]
         ]
-        console.table("TCBI against", ["", "gain in return", "p (Welch)", "p (Holm)", "p, divergence"], rows)
+        console.table("TCBI against", ["", "gain in return", "95 %", "p (Welch)", "p (Holm)", "p, divergence"], rows)
+        rows = [
+            [r["label"], r["parameter"], f"{r['variance_reduction']:.0%}", f"{r['relative_error']:.0%}",
+             f"{r['truth_in_90']} of {r['robots']}"]
+            for r in found["variance_reduction"]
+        ]  # fmt: skip
+        head = ["method", "parameter", "variance less than prior", "error of the mean", "truth inside 90 %"]
+        console.table(f"{task}, inference", head, rows)
+        if effect := found["effect"]:
+            print(
+                f"with the diagnosed effect in the model {effect['with']:.0f}, without {effect['without']:.0f}, "
+                f"a gain of {effect['gain']:.0f} (95 %: {range_of(effect, 'gain')}) on {counted(effect['robots'], 'robot')}"
+            )
     for line in data["notes"]:
         print(line)
     print(data["took"])

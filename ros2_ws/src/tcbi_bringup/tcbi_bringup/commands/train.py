@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import math
 import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, and for how long."""
     console.add_task(parser, required=True)
     parser.add_argument(
-        "--preset", default="fast", help="fast (minutes, PPO) or paper (half a day, SAC as in the paper)"
+        "--preset", default="fast", help="fast (minutes, PPO) or paper (half a day and more, SAC as in the paper)"
     )
     parser.add_argument("--seed", type=seed, default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument("--out", default="", help="name in the store, or path of a .safetensors file (default: TASK-N)")
@@ -99,18 +100,17 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     from tcbi_policy.retraining import fine_tuning, randomisation_of
     from tcbi_policy.runs import Run
 
-    name = Path(args.out).name
-    if args.out and (not name or name.startswith(".")):
-        raise WrongCallError(
-            f"--out: got {args.out!r}, allowed is a name, or a path that ends in one; it begins with no dot"
-        )
+    check_place(args.out, store.root)
     config, model = preset(args.preset, args.task), store.load(args.model)
     check_rig(f"of {args.task}", model)
     changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "prior": args.prior}
     if args.start:
         config, start = fine_tuning(config), find_policy(args.start, store.root)
-        if isinstance(start, Policy):
-            check_start(config, start)
+        if not isinstance(start, Policy):
+            raise WrongCallError(f"--start: got {args.start}, a scripted gait; allowed is a trained policy")
+        check_start(config, start)
+        if start.card.task != args.task:
+            console.note(f"{start.policy_id} was trained for {start.card.task}; it goes on with {args.task}")
         changes |= randomisation_of(start, args.task, model)
     changes["steps"] = args.steps or (0 if args.budget else config.steps)
     given = {"effects": args.effect and tuple(args.effect), "observation_noise": args.noise}
@@ -120,6 +120,36 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     if args.start and (also := config.randomisation()):
         console.note(f"training with {also}")
     return Run.of(config, model, store.root, args.start)
+
+
+def check_place(out: str, root: Path) -> None:
+    """Refuse, before a training begins, a place where its policy could not be kept.
+
+    Raises:
+      WrongCallError: `--out` gives the policy no name, or that of a policy that is there.
+      BringupError: nothing can be written there.
+    """
+    name = Path(out).name
+    if out and (not name or name.startswith(".")):
+        raise WrongCallError(
+            f"--out: got {out!r}, allowed is a name, or a path that ends in one; it begins with no dot"
+        )
+    stem = _stem(out or "any", root)
+    if out and (there := stem.with_name(f"{stem.name}.safetensors")).exists():
+        raise WrongCallError(f"--out: {there} is there already; give another name, or remove it first")
+    try:
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=stem.parent):
+            pass
+    except OSError as e:
+        raise BringupError(f"{stem.parent}: {e.strerror}; name a folder that can be written to") from e
+
+
+def _stem(out: str, root: Path) -> Path:
+    """Where a policy lies, without its endings."""
+    if out.endswith(".safetensors") or os.sep in out:
+        return Path(out.removesuffix(".safetensors")).expanduser()
+    return root / "policies" / out
 
 
 def _publish(folder: Path, out: str, root: Path) -> Path:
@@ -136,14 +166,16 @@ def _publish(folder: Path, out: str, root: Path) -> Path:
     from tcbi_policy.artefact import load_policy, locked, save_policy
     from tcbi_policy.retraining import next_name
 
-    to_file = out.endswith(".safetensors") or os.sep in out
     trained = load_policy(folder / "policy.safetensors")
     with locked(root / "policies"):
-        named = out or next_name(root, trained.card.task)
-        stem = Path(out.removesuffix(".safetensors")).expanduser() if to_file else root / "policies" / named
+        stem = _stem(out or next_name(root, trained.card.task), root)
         path = save_policy(stem, trained.mlp, dataclasses.replace(trained.card, name=stem.name)).path
     assert path is not None
-    logged = stem.with_name(f"{stem.name}.tensorboard") if to_file else root / "tensorboard" / stem.name
+    logged = (
+        root / "tensorboard" / stem.name
+        if stem.parent == root / "policies"
+        else stem.with_name(f"{stem.name}.tensorboard")
+    )
     shutil.rmtree(logged, ignore_errors=True)
     try:
         shutil.copytree(folder / "tensorboard", logged)

@@ -72,6 +72,10 @@ class Notebook:
     def __contains__(self, key: Key) -> bool:
         return "not_yet" not in self._found.get(key, {"not_yet": True})
 
+    def keys(self) -> list[Key]:
+        """Of the pieces that were tried."""
+        return list(self._found)
+
     def get(self, *key: Any) -> Result | None:
         """The result of a piece of work; None where it was not tried."""
         return self._found.get(key)

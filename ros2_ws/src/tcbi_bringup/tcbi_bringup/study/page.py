@@ -137,11 +137,15 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
         "p (Holm)",
     ]
     spread = {r["label"]: np.concatenate(list(findings.values(task, r["name"], "divergence").values())) for r in rows}
-    caption = "Figure 9 or 10: divergence with each policy"
+    caption = f"Figure {9 if task == 'balance' else 10}: divergence with each policy"
     shown = [Figure(boxes(spread, "divergence of rewards, robot to simulation / nats"), caption, True)]
     if found["noise"]:
         shown.append(
-            Figure(lines_of_noise(found["noise"]), "Figure 12 or 13: return under noise on what the policy sees", True)
+            Figure(
+                lines_of_noise(found["noise"]),
+                f"Figure {12 if task == 'balance' else 13}: return under noise on what the policy sees",
+                True,
+            )
         )
     report.add(Section(f"{task}: who differs (Table 6)", text=[WELCH], table=Table(head, welch), figures=shown))
 
@@ -165,13 +169,13 @@ def _inference(report: Report, findings: Findings, task: str, found: dict[str, A
         for r in found["variance_reduction"]
     ]  # fmt: skip
     shown = []
-    for parameter in PARAMETERS:
+    for parameter, number in zip(PARAMETERS, (6, 8, 7), strict=True):
         mine = [r for r in found["progress"] if r["parameter"] == parameter]
         for key, axis, what in (
             ("error", f"(mean − truth) / truth of {parameter}", f"error of the mean of {parameter}, with its sign"),
             ("variance_ratio", f"variance of {parameter} / prior's", f"variance of {parameter}"),
         ):
-            shown.append(Figure(generations(mine, key, axis), f"Figures 6 to 8: {what}, by generation. {BAND}"))
+            shown.append(Figure(generations(mine, key, axis), f"Figure {number}: {what}, by generation. {BAND}"))
     shown.append(Figure(bars_of_time(found["seconds"]), CAPTION_OF_TIME, True))
     table = Table(head, rows, NONE_OF_FEW)
     report.add(Section(f"{task}: inference (Table 3)", text=[WIDTH], table=table, figures=shown))

@@ -1,7 +1,7 @@
 """What a study does: robots, tasks, methods, and how much of everything."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,6 +114,23 @@ FULL = Plan(
 PRESETS = {"hour": HOUR, "full": FULL}
 
 
+# s of a piece, by stage and task, in the preset `hour` on two cores: for the estimate of the time left alone
+COSTS = {
+    "balance": {"collect": 5.0, "deploy": 9.0, "infer": 42.0, "train": 30.0, "noise": 17.0},
+    "forward": {"collect": 19.0, "deploy": 45.0, "infer": 95.0, "train": 40.0, "noise": 19.0},
+}
+DIAGNOSIS_COST, NO_INFERENCE_COST = 25.0, 2.0
+
+
+def cost(piece: Key) -> float:
+    """How much time a piece takes, beside the others."""
+    if piece[0] == "diagnose":
+        return DIAGNOSIS_COST
+    if piece[0] == "infer" and CONTESTANTS[piece[3]].method == "prior":
+        return NO_INFERENCE_COST
+    return COSTS.get(piece[1], COSTS["balance"])[piece[0]]
+
+
 def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = "") -> Plan:
     """A preset, or a part of it.
 
@@ -143,6 +160,28 @@ def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = ""
         if EFFECT in names and WINNER not in names:
             names.insert(names.index(EFFECT), WINNER)
         plan = dataclasses.replace(plan, contestants=tuple(names))
+    return plan
+
+
+def of_what_is_there(plan: Plan, keys: Iterable[Key], robots: str = "", tasks: str = "", contestants: str = "") -> Plan:
+    """The plan of a study as far as it has been worked on; what is named is taken as it is.
+
+    Args:
+      plan: by `chosen`, with these names.
+      keys: of the pieces that there are.
+      robots, tasks, contestants: as they were given to `chosen`.
+    """
+    tried = [key for key in keys if len(key) > 2]
+    known = {key[-1] if key[0] == "diagnose" else key[2] for key in keys}
+    if not robots and known:
+        strength = dict(plan.robots)
+        plan = dataclasses.replace(plan, robots=tuple((n, strength.get(n, "strong")) for n in sorted(known)))
+    if not tasks and tried:
+        met = {key[1] for key in tried}
+        plan = dataclasses.replace(plan, tasks={name: of for name, of in plan.tasks.items() if name in met})
+    if not contestants and any(len(key) > 3 for key in tried):
+        names = {key[3] for key in tried if len(key) > 3}
+        plan = dataclasses.replace(plan, contestants=tuple(name for name in CONTESTANTS if name in names))
     return plan
 
 
