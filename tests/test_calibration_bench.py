@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from tcbi_sim.ray_workers import versions
 from tcbi_sim.rigs import load_rig
 from tests.bench_modules import BENCH, bench_modules
 
@@ -36,6 +37,7 @@ def result(bench: dict[str, ModuleType], truth: int, method: str, error: float, 
         "rank": 0.5,
     }  # fmt: skip
     return {"case": json.loads(case(bench, truth, method).key()), "parameters": [parameter], "cpu_s": 1.0} | {
+        "code": versions()["tcbi"],
         "says_misfit": False,
         "says_outside": False,
     }
@@ -196,6 +198,31 @@ def test_a_stopped_run_goes_on_and_a_line_that_was_cut_off_is_run_again(bench, t
     assert ran == [0, 1, 2]
     assert "cut off" in capsys.readouterr().err
     assert len(list(main.results(cases, keep, 1))) == 4 and ran == [0, 1, 2, 3]
+
+
+def test_what_other_code_found_is_run_again_and_told(bench, tmp_path, monkeypatch, capsys) -> None:
+    keep, main = tmp_path / "kept.jsonl", bench["main"]
+    keep.write_text(json.dumps(result(bench, 0, "calibrated", 0.0) | {"code": "another"}) + "\n")
+    monkeypatch.setattr(main, "run", lambda wanted: result(bench, wanted.truth, wanted.method, 0.5))
+    (found,) = main.results([case(bench, 0)], keep, 1)
+    assert found["parameters"][0]["unit_error"] == 0.5
+    assert "1 results of other code are left out" in capsys.readouterr().err
+
+
+def test_an_inference_that_fails_is_kept_and_counted_and_the_others_go_on(bench) -> None:
+    wrong = dataclasses.replace(case(bench), rollouts=2, duration=1.0, settings=(("alpha", -1.0),))
+    failed = bench["jobs"].run(wrong)
+    assert "alpha" in failed["failed"]
+    rows = bench["figures"].figures([failed, *(result(bench, i, "calibrated", 0.01) for i in range(3))])
+    assert value(rows, "inferences that failed")["value"] == 1
+    assert value(rows, "RMSE of friction, 3 truths")["value"] == 0.01
+
+
+def test_with_the_papers_budget_the_papers_accuracy_is_asked_for(bench) -> None:
+    found = changed([result(bench, i, "calibrated", 0.02) for i in range(3)], generations=3)
+    found += changed([result(bench, i, "paper", 0.01) for i in range(3)], generations=15)
+    row = value(bench["figures"].figures(found), "paper: calibrated's error over its")
+    assert (row["value"], row["target"], row["met"]) == (2.0, 1.0, False)
 
 
 @pytest.mark.slow

@@ -24,7 +24,9 @@ TCBI = "calibrated"
 
 def figures(found: list[Result]) -> list[Row]:
     """Rows of every group of equal cases, then with noise against without, and TCBI against each other method."""
-    rows, groups = [], grouped(found)
+    failed = [r for r in found if "failed" in r]
+    rows = [figure("inferences that failed", len(failed), "1", most=0)] if failed else []
+    groups = grouped([r for r in found if "failed" not in r])
     for name, group in groups.items():
         rows += _of(name, group)
     for name, group in groups.items():
@@ -37,7 +39,7 @@ def figures(found: list[Result]) -> list[Row]:
             if _comparable(own[0]["case"], case):
                 equal = budget(own[0]["case"]) == budget(case)
                 words = f"{name}: {TCBI}'s error over its{_differing(own, group)}"
-                rows += _ratio(words, own, group, 1.0 if equal else None)
+                rows += _ratio(words, own, group, 1.0 if equal or _is_the_papers(case) else None)
                 rows += _spent(own) if _is_the_papers(case) else []
     return rows
 

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from truths import RIG, recorded
 
+from tcbi_contract.errors import TcbiError
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result as Inference
 from tcbi_sim.model import base_model
+from tcbi_sim.ray_workers import versions
 
 Result = dict[str, Any]
 INFERENCES = 10**6  # seeds of inferences lie beyond those of truths, whose draws they must not share
@@ -40,7 +42,14 @@ class Case:
 
 
 def run(case: Case) -> Result:
-    """Record (or take what was just recorded), infer, compare with the truth."""
+    """Record (or take what was just recorded), infer, compare with the truth; where it fails, `failed` says why."""
+    try:
+        return {"code": versions()["tcbi"], **_run(case)}
+    except TcbiError as e:
+        return {"code": versions()["tcbi"], "case": json.loads(case.key()), "cpu_s": 0.0, "failed": str(e)}
+
+
+def _run(case: Case) -> Result:
     values, rollouts = recorded(case.source, case.task, case.truth, case.rollouts, case.duration, case.noise)
     began, cpu = time.perf_counter(), time.process_time()
     method = find_method(case.method)

@@ -11,7 +11,7 @@ A truth is recorded. Source `model`: drawn from the prior, simulated with finer 
 an emulated robot, another implementation with its own contacts and friction. Source `hidden`: one with an effect that
 the model lacks, which an inference must say. Every method infers a truth from the same rollouts with the same number of
 simulations, unless METHOD@PARTICLESxGENERATIONS says otherwise. `--keep FILE` holds one JSON line for each inference;
-what is there already is not run again, so a stopped run goes on.
+what is there already of the same code is not run again, so a stopped run goes on.
 """
 
 import argparse
@@ -29,6 +29,7 @@ from jobs import Case, Result, run
 from truths import POLICIES
 
 from tcbi_infer.tcbi.method import METHODS
+from tcbi_sim.ray_workers import versions
 
 SOURCES = ("model", "robot", "hidden")
 QUICK = {
@@ -86,7 +87,7 @@ def _asked(text: str, options: argparse.Namespace) -> tuple[str, int, int, tuple
 
 def kept(path: Path | None) -> list[Result]:
     """What an earlier run left; a last line that was cut off is dropped."""
-    found = []
+    found: list[Result] = []
     for line in path.read_text().splitlines() if path and path.exists() else []:
         try:
             found.append(json.loads(line))
@@ -95,9 +96,17 @@ def kept(path: Path | None) -> list[Result]:
     return found
 
 
+def of_code(found: list[Result], code: str) -> list[Result]:
+    """Those of one code; what other code found may be something else."""
+    same = [r for r in found if r.get("code") == code]
+    if len(same) < len(found):
+        print(f"{len(found) - len(same)} results of other code are left out", file=sys.stderr)
+    return same
+
+
 def results(wanted: list[Case], keep: Path | None, workers: int) -> Iterator[Result]:
     """Of all cases, those kept from an earlier run first."""
-    done = {json.dumps(r["case"], sort_keys=True): r for r in kept(keep)}
+    done = {json.dumps(r["case"], sort_keys=True): r for r in of_code(kept(keep), versions()["tcbi"])}
     left = []
     for case in wanted:
         old = done.get(case.key())
@@ -151,6 +160,12 @@ def main() -> int:
     options = parser.parse_args()
     if options.quick:
         vars(options).update(QUICK)
-    found = kept(options.figures) if options.figures else list(results(cases(options), options.keep, options.workers))
+    if options.rollouts < 2:
+        raise SystemExit(f"--rollouts {options.rollouts}: allowed is 2 or more, one of each of two policies")
+    if options.figures:
+        there = kept(options.figures)
+        found = of_code(there, there[-1].get("code", "") if there else "")
+    else:
+        found = list(results(cases(options), options.keep, options.workers))
     print(json.dumps({"name": "calibration", "figures": figures(found)}, indent=2))
     return 0

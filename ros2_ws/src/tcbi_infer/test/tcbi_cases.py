@@ -44,7 +44,9 @@ def normal_problem(
     def counted(x: np.ndarray) -> np.ndarray:
         return binning.counts(x)[:, :, None].astype(np.float32)
 
-    observed = Observed(counted(real)[0], np.array([0]), ("x",), ("x/x",), pooled_divergence(divergence, [binning]))
+    observed = Observed(
+        counted(real)[0], np.array([0]), ("x",), ("x/x",), pooled_divergence(divergence, [binning], counted(real)[0])
+    )
 
     def run(unit: np.ndarray) -> Features:
         counts = counted(draw(unit[:, 0], within if simulated_within is None else simulated_within))

@@ -92,6 +92,20 @@ def test_a_model_that_cannot_fit_does_not_sound_sure() -> None:
     assert wide > 3 * right
 
 
+def test_a_model_that_misses_is_believed_as_many_times_less() -> None:
+    """The log-weights above the prior's, over the proposal, shrink by the ratio; a ratio below 1 changes nothing."""
+    state, _ = run(0.5, 0, generations=2)
+    unit, log_weights = calibrated.posterior(state)
+
+    def width(weights: np.ndarray) -> float:
+        return float(np.sqrt(mean_and_variance(unit, normalised(weights))[1][0]))
+
+    np.testing.assert_allclose(calibrated.distrusted(state, 0.5), log_weights)
+    base = log_weights + state.alpha * state.energy
+    np.testing.assert_allclose(calibrated.distrusted(state, 4.0), base - state.alpha / 4 * state.energy)
+    assert width(calibrated.distrusted(state, 9.0)) > 1.5 * width(log_weights)
+
+
 def test_alpha_rises_no_further_than_the_setting_allows() -> None:
     observed, simulate, _ = normal_problem(0.5, 0)
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from tcbi_infer.tcbi.driver import Progress
     from tcbi_infer.tcbi.method import Method
     from tcbi_infer.tcbi.problem import Problem
-    from tcbi_infer.tcbi.result import Result
+    from tcbi_infer.tcbi.result import Estimate, Result
 
 SUMMARY = "Infer a model's parameters from bags (task-consistent Bayesian inference) and save them as a new version."
 
@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="flat",
         help="flat (default); model: go on from what the model version says, with rollouts that it has not seen",
     )
-    parser.add_argument("--timestep", type=above(0.0), help="s at most, of the simulation (default: 0.01)")
+    parser.add_argument("--timestep", type=above(0.0), help="s at most, of the simulation (default: 0.005)")
     parser.add_argument("--threads", type=at_least(0), default=0, help="0 (default) for all processors")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument(
@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=_setting,
         metavar="NAME=VALUE",
-        help="a parameter's true value, where it is known: the report shows the error; may be repeated",
+        help="a parameter's true value, where it is known: its error is shown; may be repeated",
     )
     parser.add_argument(
         "--advise",
@@ -160,9 +160,13 @@ def run(args: argparse.Namespace) -> int:
     path = report.write(args.report or store.models / saved.version / "inference.html")
     if args.json:
         advised = {} if advice is None else {"advice": [a.as_json() for a in advice]}
-        console.emit({**as_json(result, saved.version), **advised, "report": str(path)})
+        beside = (
+            {"truth": [beside_truth(e, truth[e.name]) for e in result.estimates if e.name in truth]} if truth else {}
+        )
+        console.emit({**as_json(result, saved.version), **beside, **advised, "report": str(path)})
     else:
         _print(result, method, saved.version)
+        _print_truth(result, truth)
         for a in advice or ():
             print(a.line())
         print(f"report: {path}")
@@ -215,6 +219,27 @@ def as_json(result: "Result", version: str) -> dict[str, Any]:
         "divergence": result.divergence,
         "warnings": result.warnings,
     }
+
+
+def beside_truth(estimate: "Estimate", truth: float) -> dict[str, Any]:
+    """How far a parameter's mean is from what is true, in its unit, and whether the 90 % interval holds it."""
+    inside = estimate.low90 <= truth <= estimate.high90
+    return {
+        "name": estimate.name,
+        "unit": estimate.unit,
+        "truth": truth,
+        "error": estimate.mean - truth,
+        "inside": inside,
+    }
+
+
+def _print_truth(result: "Result", truth: dict[str, float]) -> None:
+    found = [beside_truth(e, truth[e.name]) for e in result.estimates if e.name in truth]
+    if found:
+        rows = [[f["name"], f["unit"], f["truth"], f["error"], "yes" if f["inside"] else "no"] for f in found]
+        console.table(
+            "beside the truth", ["parameter", "unit", "truth", "error of the mean", "in the 90 % interval?"], rows
+        )
 
 
 def _state(progress: "Progress", names: tuple[str, ...]) -> str:

@@ -140,9 +140,10 @@ def _print(data: dict[str, Any]) -> None:
         head = ["method", "parameter", "variance less than prior", "error of the mean", "truth inside 90 %"]
         console.table(f"{task}, inference", head, rows)
         if effect := found["effect"]:
+            where = counted(effect["robots"], "robot")
             print(
                 f"with the diagnosed effect in the model {effect['with']:.0f}, without {effect['without']:.0f}, "
-                f"a gain of {effect['gain']:.0f} (95 %: {range_of(effect, 'gain')}) on {counted(effect['robots'], 'robot')}"
+                f"a gain of {effect['gain']:.0f} (95 %: {range_of(effect, 'gain')}) on {where}"
             )
     for line in data["notes"]:
         print(line)

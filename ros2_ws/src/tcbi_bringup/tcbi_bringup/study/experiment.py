@@ -151,7 +151,7 @@ class Experiment:
         rollouts = read_measurements([self._rollouts_of(task, robot)])
         problem = Problem.of(
             model, rollouts, statistics=contestant.statistics or method.statistics, policies=self.store.root,
-            threads=self.threads, seed=robot,
+            timestep=TIMESTEP_S, threads=self.threads, seed=robot,
         )  # fmt: skip
         runs = self.store.folder("runs")
         try:

@@ -173,6 +173,16 @@ def finished(state: CalibratedState, settings: CalibratedSettings) -> bool:
     return state.converged or state.generation >= settings.generations
 
 
+def distrusted(state: CalibratedState, ratio: float) -> np.ndarray:
+    """(M,) log-weights with the data's say divided by how many times too much remains of a divergence.
+
+    A model that cannot reproduce one statistic cannot be relied on for where the others put its parameters.
+    """
+    known = np.isfinite(state.log_weights)
+    energy = np.where(known, state.energy, 0.0)
+    return np.where(known, state.log_weights + state.alpha * (1 - 1 / max(ratio, 1.0)) * energy, -np.inf)
+
+
 def posterior(state: CalibratedState) -> tuple[np.ndarray, np.ndarray]:
     """(M, P) particles in [0, 1] and (M,) log-weights."""
     return from_probit(state.z), state.log_weights

@@ -26,7 +26,15 @@ from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.pooled import JS
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.result import Result, estimates, misfits, piled, prior_variances, unfinished
+from tcbi_infer.tcbi.result import (
+    Result,
+    estimates,
+    misfits,
+    piled,
+    prior_variances,
+    unfinished,
+    worst_misfit,
+)
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 from tcbi_sim.engine import SimError
 from tcbi_sim.errors import UnknownNameError
@@ -285,6 +293,10 @@ class _Loop:
         last = self._last_generation()
         before = self._generation_before()
         wrong, fits = misfits(model.parameters, unit, log_weights, self.statistics, last, before, self.known)
+        if fits is False and self.method.distrusted is not None:
+            log_weights = np.log(
+                np.maximum(normalised(self.method.distrusted(self.state, worst_misfit(last))[kept]), 1e-300)
+            )
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):

@@ -1,11 +1,11 @@
 """Divergences of pooled histograms: what `calibrated` weighs by, for any subset or resample of the rollouts.
 
-    measure = pooled_divergence("wasserstein", binnings)
+    measure = pooled_divergence("wasserstein", binnings, counts)
     measure(real, simulated)                    # (R, C, B) and (M, R, C, B) counts -> (M, R, C)
     noise, freedom = measure.noise(real, simulated)         # (U, C, B) counts each -> (C,), (C,)
 
-`js` is defined on histograms. Any other divergence, the user's own among them, is one of samples: each histogram stands
-for `POINTS` samples, evenly spaced in its cumulative distribution.
+`js`, `wasserstein` and `mmd` are computed from the counts. Any other divergence, the user's own among them, is one of
+samples: each histogram stands for `POINTS` samples, evenly spaced in its cumulative distribution.
 """
 
 from collections.abc import Sequence
@@ -54,8 +54,64 @@ class JensenShannon:
         return np.maximum(expected, least), freedom
 
 
+class _Signed:
+    """A divergence whose noise is told by giving the residuals random signs."""
+
+    def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+        """(..., C, B) and (M, ..., C, B) counts -> (M, ..., C)."""
+        raise NotImplementedError
+
+    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Expected (C,) over residuals with random signs; degrees of freedom are those of a scaled chi-squared."""
+        middle, moved = _residuals(real, simulated)
+        signs = np.random.default_rng(0).choice([-0.5, 0.5], (FLIPS, len(moved)))
+        apart = np.tensordot(signs, moved, axes=1)
+        drawn = self(np.maximum(middle + apart, 0.0), np.maximum(middle - apart, 0.0)[None])[0]
+        mean, variance = drawn.mean(axis=0), drawn.var(axis=0, ddof=1)
+        freedom = 2 * mean**2 / np.where(variance > 0, variance, np.inf)
+        return mean, np.clip(freedom, 1.0, effective_bins(real))
+
+
+class Wasserstein(_Signed):
+    """First Wasserstein distance in shares of the real data's range, a tail being one bin beyond it."""
+
+    particles = 300
+
+    def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+        """(..., C, B) and (M, ..., C, B) counts -> (M, ..., C); 0 where the robot has no sample: it tells nothing."""
+        apart = _difference(real, simulated)
+        return np.abs(np.cumsum(apart, axis=-1)).sum(axis=-1) / (apart.shape[-1] - 2)
+
+
+class MaximumMeanDiscrepancy(_Signed):
+    """Squared maximum mean discrepancy under a Gaussian kernel, between 0 and 2.
+
+    The kernel is as wide as the median distance between the real samples, and at least one bin.
+    """
+
+    particles = 300
+
+    def __init__(self, counts: np.ndarray):
+        """Take the kernels' widths from the real rollouts' (U, C, B) counts."""
+        bins = np.arange(counts.shape[-1])
+        between = np.abs(bins[:, None] - bins)
+        shares = normalised(counts.sum(axis=0))
+        pairs = shares[:, :, None] * shares[:, None, :]
+        within = np.stack([(pairs * (between <= d)).sum(axis=(1, 2)) for d in bins], axis=-1)
+        width = np.maximum((within < 0.5 * pairs.sum(axis=(1, 2))[:, None]).sum(axis=-1), 1)
+        self._kernels = np.exp(-0.5 * (between / width[:, None, None]) ** 2)  # (C, B, B)
+
+    def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+        """(..., C, B) and (M, ..., C, B) counts -> (M, ..., C); 0 where the robot has no sample: it tells nothing."""
+        apart = _difference(real, simulated)
+        found = np.einsum(
+            "...cb,...cb->...c", np.einsum("...cb,cbd->...cd", apart, self._kernels, optimize=True), apart
+        )
+        return np.maximum(found, 0.0)
+
+
 @dataclass(frozen=True)
-class OfSamples:
+class OfSamples(_Signed):
     """A divergence of samples, on histograms."""
 
     name: str
@@ -73,20 +129,26 @@ class OfSamples:
             found[:, r, c] = measured(self.name, stand_ins(rows[r, c], binning), stand_ins(others[:, r, c], binning))
         return found.reshape(count, *lead, channels)
 
-    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Expected (C,) over residuals with random signs; degrees of freedom are those of a scaled chi-squared."""
-        middle, moved = _residuals(real, simulated)
-        signs = np.random.default_rng(0).choice([-0.5, 0.5], (FLIPS, len(moved)))
-        apart = np.tensordot(signs, moved, axes=1)
-        drawn = self(np.maximum(middle + apart, 0.0), np.maximum(middle - apart, 0.0)[None])[0]
-        mean, variance = drawn.mean(axis=0), drawn.var(axis=0, ddof=1)
-        freedom = 2 * mean**2 / np.where(variance > 0, variance, np.inf)
-        return mean, np.clip(freedom, 1.0, effective_bins(real))
+
+def pooled_divergence(name: str, binnings: Sequence[Binning], counts: np.ndarray) -> PooledDivergence:
+    """The divergence of that name, for histograms in these bins; (U, C, B) counts are the real rollouts'."""
+    if name == JS:
+        return JensenShannon()
+    if name == "wasserstein":
+        return Wasserstein()
+    return MaximumMeanDiscrepancy(counts) if name == "mmd" else OfSamples(name, tuple(binnings))
 
 
-def pooled_divergence(name: str, binnings: Sequence[Binning]) -> PooledDivergence:
-    """The divergence of that name, for histograms in these bins."""
-    return JensenShannon() if name == JS else OfSamples(name, tuple(binnings))
+def _difference(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """(M, ..., C, B) shares of the real counts less the simulated ones'; 0 where the robot has none.
+
+    A simulation without any sample is as far off as can be: all of it lies in the tail that is further.
+    """
+    p, q = normalised(real), normalised(simulated)
+    middle = np.sum(p * np.arange(p.shape[-1]), axis=-1, keepdims=True)
+    far = np.where(middle < (p.shape[-1] - 1) / 2, np.eye(p.shape[-1])[-1], np.eye(p.shape[-1])[0])
+    q = np.where(q.sum(axis=-1, keepdims=True) > 0, q, far)
+    return np.where(p.sum(axis=-1, keepdims=True) > 0, p - q, 0.0)
 
 
 def stand_ins(counts: np.ndarray, binning: Binning) -> np.ndarray:

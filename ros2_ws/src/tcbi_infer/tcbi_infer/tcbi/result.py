@@ -305,6 +305,11 @@ def unfinished(last: Generation) -> list[str]:
     ]
 
 
+def worst_misfit(last: Generation) -> float:
+    """How many times as much remains of a divergence as rollouts differ by: the worst statistic or channel."""
+    return max([*_misfit_ratios(last), *last.notes.get("misfit", {}).values()], default=1.0)
+
+
 def _fits_poorly(last: Generation) -> bool:
     return max(_misfit_ratios(last), default=0.0) > POOR
 
