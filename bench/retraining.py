@@ -1,6 +1,7 @@
 """Whether the graph goes on at its rates while a policy is retrained, and how long a retraining and its end take.
 
 ./tcbi python bench/retraining.py            # one of 120 s, as the inference node asks for; three cancelled ones
+./tcbi python bench/retraining.py --task forward
 ./tcbi python bench/retraining.py --quick    # one of 20 s, one cancelled
 
 A simulation in real time, a policy that acts, a recorder and the retraining server, as `./tcbi up --robot sim` starts
@@ -32,7 +33,7 @@ from tcbi_bringup.robot_graph import GraphOptions, companion_processes, robot_pr
 from tcbi_contract import messages, names
 from tcbi_msgs.action import Retrain
 
-POLICY = "balance-early"
+POLICIES = {"balance": "balance-early", "forward": "forward"}  # in use, and to start from
 REST_S = 20.0  # of the rates before
 CANCEL_AFTER_S = 8.0
 LONGEST_S = 600.0  # of a retraining
@@ -42,8 +43,9 @@ STREAMS = {names.JOINT_STATES: JointState, names.IMU: Imu, names.JOINT_COMMANDS:
 class Listener(Outsider):
     """Hears the graph's topics and asks for retrainings."""
 
-    def __init__(self) -> None:
+    def __init__(self, task: str) -> None:
         super().__init__("bench_retraining")
+        self.task = task
         self.heard: dict[str, list[float]] = {topic: [] for topic in STREAMS}
         for topic, kind in STREAMS.items():
             take = self._taker(topic)
@@ -61,7 +63,7 @@ class Listener(Outsider):
 
     def begin(self, budget_s: float) -> tuple[Any, Any]:
         """Ask for a retraining from the policy in use; the goal's handle and the future of its result."""
-        sent = self.retraining.send_goal_async(Retrain.Goal(task="balance", budget_s=budget_s, seed=1))
+        sent = self.retraining.send_goal_async(Retrain.Goal(task=self.task, budget_s=budget_s, seed=1))
         self.wait(sent.done, "the goal")
         handle = sent.result()
         return handle, handle.get_result_async()
@@ -105,27 +107,43 @@ def figures_of(listener: Listener, budget_s: float, cancelled: int) -> list[dict
         listener.wait(result.done, "the end of a cancelled retraining")
         ends.append(time.monotonic() - asked)
     found = [
-        figure(f"{topic}: rate while training to before", rate(during[topic]) / rate(before[topic]), "1", least=0.98)
+        figure(
+            f"{listener.task}, {topic}: rate while training to before",
+            rate(during[topic]) / rate(before[topic]),
+            "1",
+            least=0.98,
+        )
         for topic in STREAMS
     ]
     longest = float(np.diff(during[names.JOINT_COMMANDS]).max())
     return [
         *found,
-        figure("longest time between two commands while training", longest, "s", most=2 * names.CONTROL_PERIOD_S),
-        figure(f"a retraining with a budget of {budget_s:g} s, with its comparison", took, "s", most=180.0),
-        figure("return on held-out draws, after less before", outcome.return_after - outcome.return_before, "1"),
-        figure("end of a cancelled retraining, median", statistics.median(ends), "s", most=1.0),
+        figure(
+            f"{listener.task}: longest time between two commands while training",
+            longest,
+            "s",
+            most=2 * names.CONTROL_PERIOD_S,
+        ),
+        figure(
+            f"{listener.task}: a retraining with a budget of {budget_s:g} s, with its comparison", took, "s", most=180.0
+        ),
+        figure(
+            f"{listener.task}: return on held-out draws, after less before",
+            outcome.return_after - outcome.return_before,
+            "1",
+        ),
+        figure(f"{listener.task}: end of a cancelled retraining, median", statistics.median(ends), "s", most=1.0),
     ]
 
 
-def measure(budget_s: float, cancelled: int, store: Path) -> list[dict[str, Any]]:
+def measure(task: str, budget_s: float, cancelled: int, store: Path) -> list[dict[str, Any]]:
     """The figures."""
-    options = GraphOptions(store=store, policy=POLICY, task="balance")
+    options = GraphOptions(store=store, policy=POLICIES[task], task=task)
     with domain_coordinator.domain_id() as domain:
         os.environ["ROS_DOMAIN_ID"] = str(domain)
         processes = robot_processes(options, store) + companion_processes(options)
         with Graph(processes, domain_id=domain, log_dir=store / "log"):
-            listener = Listener()
+            listener = Listener(task)
             try:
                 return figures_of(listener, budget_s, cancelled)
             finally:
@@ -136,9 +154,10 @@ def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="20 s of training, one cancelled")
+    parser.add_argument("--task", choices=POLICIES, default="balance")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        figures = measure(*((20.0, 1) if options.quick else (120.0, 3)), Path(folder))
+        figures = measure(options.task, *((20.0, 1) if options.quick else (120.0, 3)), Path(folder))
     print(json.dumps({"name": "retraining", "figures": figures}, indent=2))
     return 0
 

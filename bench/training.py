@@ -14,6 +14,7 @@ import argparse
 import dataclasses
 import hashlib
 import json
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -141,7 +142,10 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="file of results, one JSON object a line")
     parser.add_argument("--figure", type=Path, help="SVG to draw")
     options = parser.parse_args()
-    first, end = (int(n) for n in options.seeds.split(":"))
+    asked = re.fullmatch(r"(\d+):(\d+)", options.seeds)
+    if asked is None or int(asked[2]) <= int(asked[1]):
+        raise SystemExit(f"--seeds {options.seeds}: allowed is FIRST:END, such as 0:5")
+    first, end = int(asked[1]), int(asked[2])
     steps = preset("fast", options.task).steps // 3 if options.quick else 0
     found = results(options.task, range(first, first + 1 if options.quick else end), steps, options.keep)
     if options.figure:
