@@ -145,10 +145,12 @@ def _start(job: Job, root: Path) -> str:
 def fine_tuning(config: TrainingConfig) -> TrainingConfig:
     """Settings to go on from a policy: learn its value before changing it, explore less, and step more often.
 
-    Small sets of episodes bring more steps of learning out of a short budget (docs/policies.md has the figures).
+    Small sets of episodes bring more steps of learning out of a short budget; what began as the copy of a gait falls
+    apart under large steps (docs/policies.md has the figures).
     """
     return dataclasses.replace(
         config,
+        learning_rate=config.learning_rate / 3 if config.imitate else config.learning_rate,
         imitate="",
         warm_up=max(config.warm_up, 2),
         noise=min(config.noise, 0.3),

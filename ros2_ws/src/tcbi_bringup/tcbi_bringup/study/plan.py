@@ -98,7 +98,7 @@ class Plan:
 HOUR = Plan(
     {
         "balance": TaskPlan("balance-early", 10, 32, 5, 20_480, 15, 5),  # 30 deployments of each method in all
-        "forward": TaskPlan("forward", 8, 24, 4, 24_000, 15, 2),
+        "forward": TaskPlan("forward-early", 8, 24, 4, 24_000, 15, 2),
     },
     ((11, "strong"), (12, "strong")),
     tuple(name for name in CONTESTANTS if name != "tcbi_paper"),
@@ -106,7 +106,7 @@ HOUR = Plan(
 FULL = Plan(
     {
         "balance": TaskPlan("balance-early", 20, 50, 15, 81_920, 30, 30),
-        "forward": TaskPlan("forward", 20, 50, 15, 110_400, 30, 30),
+        "forward": TaskPlan("forward-early", 20, 50, 15, 110_400, 30, 30),
     },
     tuple((seed, "strong") for seed in range(11, 19)),
     diagnosis=demo.FULL,
