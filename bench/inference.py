@@ -22,11 +22,11 @@ from tcbi_bringup.commands.bench import figure
 from tcbi_infer.tcbi import problem as simulating
 from tcbi_infer.tcbi.driver import settings_of
 from tcbi_infer.tcbi.method import find_method
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import LONGEST_STEP, Problem
 from tcbi_sim.engine import Simulator
 from tcbi_sim.model import base_model
 
-STEP_S, SETTLE_S = 0.01, 1.0
+STEP_S, SETTLE_S = LONGEST_STEP, 1.0
 ROLLOUTS, DURATION_S, PARTICLES = 20, 4.0, 50  # a generation of 1000 rollouts
 BEFORE = 5  # generations before the timed one: the default's last, in which the most particles are weighed
 LOOPS = {"open loop": "gait:steps", "closed loop": "forward"}  # who moves the robot
@@ -92,7 +92,7 @@ def stopwatch() -> Iterator[list[float]]:
 
 def beside_stepping(loop: str, pairs: int) -> list[dict[str, Any]]:
     """A generation of 1000 rollouts to the bare stepping, and what of it is not simulation."""
-    of_all = problem(base_model("hexapod"), ROLLOUTS, DURATION_S, LOOPS[loop])
+    of_all = problem(base_model("hexapod"), ROLLOUTS, DURATION_S, LOOPS[loop], STEP_S)
     whole, stepping = generation(of_all, PARTICLES), bare(of_all, PARTICLES)
     whole()
     ratios, shares = [], []
@@ -111,7 +111,7 @@ def beside_stepping(loop: str, pairs: int) -> list[dict[str, Any]]:
 
 def growth(counts: tuple[int, ...], pairs: int) -> list[dict[str, Any]]:
     """Time of each particle beside that of a particle in the middle one of these counts."""
-    few = problem(base_model("hexapod"), FEW_ROLLOUTS, DURATION_S)
+    few = problem(base_model("hexapod"), FEW_ROLLOUTS, DURATION_S, step=STEP_S)
     works = {n: generation(few, n) for n in counts}
     base, others = counts[1], [n for n in counts if n != counts[1]]
     works[base]()
@@ -138,7 +138,7 @@ def memory() -> list[dict[str, Any]]:
 
 
 def _memory() -> tuple[float, float]:
-    walking = problem(base_model("hexapod"), ROLLOUTS, LONG_S)
+    walking = problem(base_model("hexapod"), ROLLOUTS, LONG_S, step=STEP_S)
     features = walking.simulate(np.random.default_rng(0).random((SOME, len(walking.model.names))))
     kept = sum(v.nbytes for v in features if isinstance(v, np.ndarray)) / SOME
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, kept / 2**20

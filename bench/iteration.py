@@ -24,7 +24,7 @@ from inference import stopwatch
 from tcbi_bringup.commands.bench import figure
 from tcbi_infer.tcbi.driver import settings_of
 from tcbi_infer.tcbi.method import find_method
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import LONGEST_STEP, Problem
 from tcbi_policy.artefact import find_policy
 from tcbi_sim.engine import simulate
 from tcbi_sim.model import base_model
@@ -35,7 +35,7 @@ ITERATIONS = {"balance": 5, "forward": 3}  # of each method
 METHODS = {"calibrated": "TCBI", "paper": "TCBI as published", "abc_smc": "ABC", "simopt": "SimOpt"}
 PAPERS = {"balance": (2.5, 12.8, 28.5), "forward": (2.6, 36.2, 54.3)}  # s: TCBI, ABC, SimOpt in Figure 11
 RIVALS = ("abc_smc", "simopt")
-STEP_S = 0.01
+STEP_S = LONGEST_STEP
 
 
 def problem(task: str, rollouts: int, duration: float) -> Problem:

@@ -37,13 +37,13 @@ EMPTY = 400  # tasks without work
 TRAJECTORIES, FEATURES = "simulate, trajectories travel", "inference, histograms travel"
 
 
-def problem(model: Model, rollouts: int, duration: float, policy: str = "gait:steps") -> Problem:
+def problem(model: Model, rollouts: int, duration: float, policy: str = "gait:steps", step: float = STEP_S) -> Problem:
     """An inference from rollouts, each from its own posture: of a scripted gait, or in closed loop of a policy."""
     actor = find_policy(policy)
     scenarios = [Scenario("forward", duration, initial_yaw=0.1 * k, seed=k) for k in range(rollouts)]
-    out = simulate(model, model.mean()[None], scenarios, controller=actor, timestep=STEP_S)
+    out = simulate(model, model.mean()[None], scenarios, controller=actor, timestep=step)
     measured = [out.measurement(0, s, f"rollout_{s}", actor.policy_id) for s in range(rollouts)]
-    return Problem.of(model, measured, timestep=STEP_S)
+    return Problem.of(model, measured, timestep=step)
 
 
 def processor_seconds() -> float:
