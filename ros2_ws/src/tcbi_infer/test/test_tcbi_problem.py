@@ -179,7 +179,7 @@ def test_a_prior_that_excludes_the_data_is_named(bench) -> None:
     found = infer(Problem.of(wrong, measurements, timestep=0.01), seed=0, particles=60, generations=5)
     assert any("prior of gain seems to exclude the data" in line for line in found.warnings)
     assert not found.fits and not any(e.identified for e in found.estimates)
-    assert found.ess > 1.5 * found.generations[-1]["ess"], "it is not believed as if it fitted"
+    assert found.ess > 1.2 * found.generations[-1]["ess"], "it is not believed as if it fitted"
 
 
 def test_channels_with_too_few_samples_to_tell_anything_are_named_and_left_out(bench, monkeypatch) -> None:
