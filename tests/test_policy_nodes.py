@@ -308,6 +308,7 @@ def test_retraining_is_cancelled_at_once_and_resumed_and_says_whether_the_result
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_a_worse_policy_leaves_the_one_in_use(start_graph: Any, peer: Any, tmp_path: Any) -> None:
     """One set of episodes from scratch, against a policy of 160 processor seconds."""
     retrain = NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(tmp_path)})
@@ -316,7 +317,7 @@ def test_a_worse_policy_leaves_the_one_in_use(start_graph: Any, peer: Any, tmp_p
     peer.wait_until(lambda: bool(status), "the policy in use")
     client = ActionClient(peer.node, Retrain, names.RETRAIN)
     goal = Retrain.Goal(task="balance", policy="none", budget_steps=1)
-    result = peer.end(peer.send(client, Retrain, goal), "the result", 110.0).result
+    result = peer.end(peer.send(client, Retrain, goal), "the result", 300.0).result
     assert result.success and not result.accepted, result.message
     assert result.message.startswith("not better with confidence: return")
     assert result.return_after < result.return_before
