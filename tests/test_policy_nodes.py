@@ -307,17 +307,22 @@ def test_retraining_is_cancelled_at_once_and_resumed_and_says_whether_the_result
     assert np.isfinite([result.return_before, result.return_after]).all()
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(400)
-def test_a_worse_policy_leaves_the_one_in_use(start_graph: Any, peer: Any, tmp_path: Any) -> None:
-    """One set of episodes from scratch, against a policy of 160 processor seconds."""
-    retrain = NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(tmp_path)})
-    start_graph(policy_node(policy="balance", store=str(tmp_path)), retrain)
+def retrained(start_graph: Any, peer: Any, store: Any, in_use: str, start: str) -> tuple[Any, list[String]]:
+    """Result of one set of episodes on *balance*, and what was said to be in use meanwhile."""
+    node = NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(store)})
+    start_graph(policy_node(policy=in_use, store=str(store)), node)
     status = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
     peer.wait_until(lambda: bool(status), "the policy in use")
     client = ActionClient(peer.node, Retrain, names.RETRAIN)
-    goal = Retrain.Goal(task="balance", policy="none", budget_steps=1)
-    result = peer.end(peer.send(client, Retrain, goal), "the result", 300.0).result
+    goal = Retrain.Goal(task="balance", policy=start, budget_steps=1)
+    return peer.end(peer.send(client, Retrain, goal), "the result", 300.0).result, status
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_a_worse_policy_leaves_the_one_in_use(start_graph: Any, peer: Any, tmp_path: Any) -> None:
+    """From scratch, against a policy of 160 processor seconds."""
+    result, status = retrained(start_graph, peer, tmp_path, "balance", "none")
     assert result.success and not result.accepted, result.message
     assert result.message.startswith("not better with confidence: return")
     assert result.return_after < result.return_before
@@ -325,14 +330,9 @@ def test_a_worse_policy_leaves_the_one_in_use(start_graph: Any, peer: Any, tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_a_better_policy_is_swapped_in_and_the_policy_node_says_so(start_graph: Any, peer: Any, tmp_path: Any) -> None:
-    retrain = NodeProcess("tcbi_policy", "retrain_node", parameters={"store": str(tmp_path)})
-    start_graph(policy_node(policy="gait:dither", store=str(tmp_path)), retrain)
-    status = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
-    peer.wait_until(lambda: bool(status), "the policy in use")
-    client = ActionClient(peer.node, Retrain, names.RETRAIN)
-    goal = Retrain.Goal(task="balance", policy="balance", budget_steps=1)
-    result = peer.end(peer.send(client, Retrain, goal), "the result", 110.0).result
+    result, status = retrained(start_graph, peer, tmp_path, "gait:dither", "balance")
     assert result.accepted and result.return_after > result.return_before, result.message
     peer.wait_until(lambda: status[-1].data.startswith("balance-1@"), "the successor in use")
     assert result.message.endswith(f"now in use as {status[-1].data}")

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=at_least(1),
         default=0,
-        help="control steps of all simulations together (default: 57600, or so many as the task needs at least)",
+        help="control steps of all simulations together (default: some 57600)",
     )
     parser.add_argument(
         "--budget", type=above(0.0), default=0.0, metavar="SECONDS",

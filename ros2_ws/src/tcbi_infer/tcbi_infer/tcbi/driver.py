@@ -289,14 +289,12 @@ class _Loop:
         kept = np.isfinite(log_weights)
         if not kept.any():
             raise InferError("no particle has any weight: every simulation diverged")
-        unit, log_weights = unit[kept], np.log(np.maximum(normalised(log_weights[kept]), 1e-300))
+        unit, log_weights = unit[kept], _log_shares(log_weights[kept])
         last = self._last_generation()
         before = self._generation_before()
         wrong, fits = misfits(model.parameters, unit, log_weights, self.statistics, last, before, self.known)
         if fits is False and self.method.distrusted is not None:
-            log_weights = np.log(
-                np.maximum(normalised(self.method.distrusted(self.state, worst_misfit(last))[kept]), 1e-300)
-            )
+            log_weights = _log_shares(self.method.distrusted(self.state, worst_misfit(last))[kept])
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):
@@ -319,6 +317,11 @@ class _Loop:
 
     def _generation_before(self) -> Generation | None:
         return _generation(self.history[-2]) if len(self.history) > 1 else None
+
+
+def _log_shares(log_weights: np.ndarray) -> np.ndarray:
+    """(M,) log-weights whose weights add up to one."""
+    return np.log(np.maximum(normalised(log_weights), 1e-300))
 
 
 def _generation(entry: Mapping[str, Any]) -> Generation:

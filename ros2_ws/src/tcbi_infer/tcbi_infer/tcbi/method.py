@@ -55,9 +55,7 @@ class Method:
     observe: Callable[[Problem], Any] = lambda problem: problem.observed  # the real rollouts, as the view sees them
     labels: Callable[[Problem], tuple[str, ...]] = lambda problem: problem.observed.statistics  # of `divergence`
     caveat: str = ""  # what a reader of its posterior must know
-    distrusted: Callable[[State, float], np.ndarray] | None = (
-        None  # log-weights of a model that misses by so many times
-    )
+    distrusted: Callable[[State, float], np.ndarray] | None = None  # log-weights where the model misses by so much
     judges: bool = False  # whether its width says what the data tell, so that parameters can be called identified
     any_divergence: bool = False  # whether it looks at divergences at all
     by_task: bool = True  # whether it looks at the task's statistics, and not at trajectories

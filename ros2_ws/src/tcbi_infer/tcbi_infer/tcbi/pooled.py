@@ -54,25 +54,7 @@ class JensenShannon:
         return np.maximum(expected, least), freedom
 
 
-class _Signed:
-    """A divergence whose noise is told by giving the residuals random signs."""
-
-    def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-        """(..., C, B) and (M, ..., C, B) counts -> (M, ..., C)."""
-        raise NotImplementedError
-
-    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Expected (C,) over residuals with random signs; degrees of freedom are those of a scaled chi-squared."""
-        middle, moved = _residuals(real, simulated)
-        signs = np.random.default_rng(0).choice([-0.5, 0.5], (FLIPS, len(moved)))
-        apart = np.tensordot(signs, moved, axes=1)
-        drawn = self(np.maximum(middle + apart, 0.0), np.maximum(middle - apart, 0.0)[None])[0]
-        mean, variance = drawn.mean(axis=0), drawn.var(axis=0, ddof=1)
-        freedom = 2 * mean**2 / np.where(variance > 0, variance, np.inf)
-        return mean, np.clip(freedom, 1.0, effective_bins(real))
-
-
-class Wasserstein(_Signed):
+class Wasserstein:
     """First Wasserstein distance in shares of the real data's range, a tail being one bin beyond it."""
 
     particles = 300
@@ -82,8 +64,12 @@ class Wasserstein(_Signed):
         apart = _difference(real, simulated)
         return np.abs(np.cumsum(apart, axis=-1)).sum(axis=-1) / (apart.shape[-1] - 2)
 
+    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Expected (C,) and its degrees of freedom (C,), over residuals with random signs."""
+        return _signed(self, real, simulated)
 
-class MaximumMeanDiscrepancy(_Signed):
+
+class MaximumMeanDiscrepancy:
     """Squared maximum mean discrepancy under a Gaussian kernel, between 0 and 2.
 
     The kernel is as wide as the median distance between the real samples, and at least one bin.
@@ -109,9 +95,13 @@ class MaximumMeanDiscrepancy(_Signed):
         )
         return np.maximum(found, 0.0)
 
+    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Expected (C,) and its degrees of freedom (C,), over residuals with random signs."""
+        return _signed(self, real, simulated)
+
 
 @dataclass(frozen=True)
-class OfSamples(_Signed):
+class OfSamples:
     """A divergence of samples, on histograms."""
 
     name: str
@@ -128,6 +118,10 @@ class OfSamples(_Signed):
             binning = self.binnings[c]
             found[:, r, c] = measured(self.name, stand_ins(rows[r, c], binning), stand_ins(others[:, r, c], binning))
         return found.reshape(count, *lead, channels)
+
+    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Expected (C,) and its degrees of freedom (C,), over residuals with random signs."""
+        return _signed(self, real, simulated)
 
 
 def pooled_divergence(name: str, binnings: Sequence[Binning], counts: np.ndarray) -> PooledDivergence:
@@ -167,6 +161,17 @@ def stand_ins(counts: np.ndarray, binning: Binning) -> np.ndarray:
     some = flat.sum(axis=-1, keepdims=True) > 0
     found = np.where(some, edges[bins] + width * within.clip(0.0, 1.0), np.nan)
     return found.reshape(*counts.shape[:-1], POINTS)
+
+
+def _signed(measure: PooledDivergence, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (C,) of a divergence where residuals have random signs, and degrees of freedom as of a scaled chi-squared."""
+    middle, moved = _residuals(real, simulated)
+    signs = np.random.default_rng(0).choice([-0.5, 0.5], (FLIPS, len(moved)))
+    apart = np.tensordot(signs, moved, axes=1)
+    drawn = measure(np.maximum(middle + apart, 0.0), np.maximum(middle - apart, 0.0)[None])[0]
+    mean, variance = drawn.mean(axis=0), drawn.var(axis=0, ddof=1)
+    freedom = 2 * mean**2 / np.where(variance > 0, variance, np.inf)
+    return mean, np.clip(freedom, 1.0, effective_bins(real))
 
 
 def effective_bins(counts: np.ndarray) -> np.ndarray:
