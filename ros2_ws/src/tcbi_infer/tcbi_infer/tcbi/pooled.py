@@ -164,7 +164,7 @@ def stand_ins(counts: np.ndarray, binning: Binning) -> np.ndarray:
 
 
 def _signed(measure: PooledDivergence, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (C,) of a divergence where residuals have random signs, and degrees of freedom as of a scaled chi-squared."""
+    """Mean (C,) of a divergence where residuals have random signs, and degrees of freedom (C,) by its variance."""
     middle, moved = _residuals(real, simulated)
     signs = np.random.default_rng(0).choice([-0.5, 0.5], (FLIPS, len(moved)))
     apart = np.tensordot(signs, moved, axes=1)
