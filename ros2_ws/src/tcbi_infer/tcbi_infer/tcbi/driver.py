@@ -242,24 +242,26 @@ class _Loop:
         return self.problem.unit(cube), log_weights
 
     def _record(self, wall_s: float) -> None:
-        unit, log_weights = self._posterior()
-        weights = normalised(log_weights)
-        mean, variance = mean_and_variance(self.problem.model.from_unit(unit), weights)
-        unit_mean, unit_variance = mean_and_variance(unit, weights)
         self.history.append(
             {
                 "generation": self.state.generation,
                 "ess": self.last.ess,
                 "alpha": self.last.alpha,
-                "mean": mean.tolist(),
-                "variance": variance.tolist(),
-                "unit_mean": unit_mean.tolist(),
-                "variance_ratio": (unit_variance / prior_variances(self.dimensions, self.known)).tolist(),
+                **self._moments(*self._posterior()),
                 "divergence": self.last.divergence.tolist(),
                 "wall_s": wall_s,
                 **self.last.notes,
             }
         )
+
+    def _moments(self, unit: np.ndarray, log_weights: np.ndarray) -> dict[str, list[float]]:
+        """Of weighted particles, as an entry of the history has them."""
+        weights = normalised(log_weights)
+        mean, variance = mean_and_variance(self.problem.model.from_unit(unit), weights)
+        unit_mean, unit_variance = mean_and_variance(unit, weights)
+        ratio = unit_variance / prior_variances(self.dimensions, self.known)
+        found = {"mean": mean, "variance": variance, "unit_mean": unit_mean, "variance_ratio": ratio}
+        return {name: values.tolist() for name, values in found.items()}
 
     def _tell(self, share: float) -> None:
         if self.watch is None:
@@ -293,8 +295,11 @@ class _Loop:
         last = self._last_generation()
         before = self._generation_before()
         wrong, fits = misfits(model.parameters, unit, log_weights, self.statistics, last, before, self.known)
+        history = list(self.history)
         if fits is False and self.method.distrusted is not None:
-            log_weights = _log_shares(self.method.distrusted(self.state, worst_misfit(last))[kept])
+            ratio = worst_misfit(last)
+            log_weights = _log_shares(self.method.distrusted(self.state, ratio)[kept])
+            history[-1] = {**history[-1], "alpha": last.alpha / ratio, **self._moments(unit, log_weights)}
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):
@@ -307,7 +312,7 @@ class _Loop:
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
             estimates(model.parameters, unit, log_weights, self.known, judged),
             float(1 / np.sum(np.exp(2 * log_weights))),
-            simulated, seconds, tuple(self.history), bool(self.state.converged), problem.closed_loop,
+            simulated, seconds, tuple(history), bool(self.state.converged), problem.closed_loop,
             (*problem.warnings, *resumed, *lines), self.known, fits,
             None if self.place is None else self.place / "state.npz",
         )  # fmt: skip

@@ -65,7 +65,8 @@ class Result:
     ess: float
     simulations: int  # rollouts simulated
     seconds: float  # wall time of all generations, those before it was resumed among them
-    generations: tuple[dict[str, Any], ...]  # one entry each: mean, variance, ess, alpha, divergence, wall_s
+    generations: tuple[dict[str, Any], ...]  # one entry each: mean, variance, ess, alpha, divergence, wall_s; the last
+    # one has the moments of this posterior
     converged: bool
     closed_loop: bool
     warnings: tuple[str, ...]
