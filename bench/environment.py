@@ -25,12 +25,14 @@ from tcbi_sim.model import base_model
 
 SEED = 1  # of the episodes, the same for all
 SINGLES = 8  # of DummyVecEnv, whose cost is proportional to them
+MANY = 128  # environments, beside as many as the trainings of the preset step: a batch's fixed costs are shared by all
 SETTLE_STEPS = round(1.0 / TIMESTEP_S)
 
 
 def measure(pairs: int) -> list[dict[str, Any]]:
-    """Figures of each task, with as many environments as its training steps."""
-    return [row for task, config in PRESETS["fast"].items() for row in figures_of(task, config.environments, pairs)]
+    """Figures of each task, with as many environments as its training steps, and with many."""
+    counts = [(task, count) for task, config in PRESETS["fast"].items() for count in (config.environments, MANY)]
+    return [row for task, count in counts for row in figures_of(task, count, pairs)]
 
 
 def figures_of(task: str, count: int, pairs: int) -> list[dict[str, Any]]:
@@ -61,10 +63,11 @@ def figures_of(task: str, count: int, pairs: int) -> list[dict[str, Any]]:
         whole = seconds(episodes)
         shares.append(seconds(physics) / whole)
         speedups.append((seconds(one_by_one) / SINGLES) / (whole / count))
+    of = f"{task}, {count} environments"
     return [
-        figure(f"{task}: share of the environment's time that is physics, median", statistics.median(shares), "1",
+        figure(f"{of}: share of the environment's time that is physics, median", statistics.median(shares), "1",
                least=0.8),
-        figure(f"{task}: DummyVecEnv over single environments to the vector environment, time of a step, median",
+        figure(f"{of}: DummyVecEnv over single environments to the vector environment, time of a step, median",
                statistics.median(speedups), "1", least=3.0),
     ]  # fmt: skip
 

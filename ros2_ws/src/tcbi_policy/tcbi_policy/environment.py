@@ -143,7 +143,7 @@ class HexapodVectorEnv(VectorEnv):
         action = np.asarray(action, float)
         target = self.limit * (np.tanh(action) if self._squash else np.clip(action, -1.0, 1.0))
         self.simulator.command(target)
-        before, self._now = self._now, self.simulator.advance(CONTROL_PERIOD_S)
+        before, self._now = self._now, self.simulator.advance(CONTROL_PERIOD_S, forces=False)
         reward = self._reward(before, target)
         self._previous = target
         self._taken += 1

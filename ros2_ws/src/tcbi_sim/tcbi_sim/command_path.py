@@ -52,17 +52,15 @@ class CommandPath:
         """What the servos track at these times, (B, n, J), for n increasing times (s)."""
         if self._pending and not self._ramp.any() and self._stepwise():
             return self._steps(midpoints) + self.fields.offset[:, None, :]
-        count, joints = self._from.shape
-        out = np.empty((count, len(midpoints), joints))
-        self._evaluate(out, midpoints)
-        end = midpoints[-1]
+        times = midpoints[None, :, None]
+        out = self._value(times)
         waiting = []
         for activation, target, ramp in self._pending:
-            begins = activation <= end
+            begins = activation <= midpoints[-1]
             if begins.any():
                 self._begin(begins, activation, target, ramp)
-                later = begins[:, None, :] & (midpoints[None, :, None] >= activation[:, None, :])
-                out[later] = self._value(midpoints[None, :, None])[later]
+                later = times >= activation[:, None, :]
+                out = self._value(times) if later.all() else np.where(later, self._value(times), out)
             if np.any(np.isfinite(activation) & ~begins):
                 waiting.append((np.where(begins, np.inf, activation), target, ramp))
         self._pending = waiting
@@ -88,9 +86,6 @@ class CommandPath:
         arrived = times <= midpoints[-1]
         self._pending = [(np.where(arrived[k], np.inf, times[k]), targets[k], 0.0) for k in np.flatnonzero(waits)]
         return out
-
-    def _evaluate(self, out: np.ndarray, times: np.ndarray) -> None:
-        out[...] = self._value(times[None, :, None])
 
     def _value(self, times: np.ndarray) -> np.ndarray:
         ramp = self._ramp[:, None, :]

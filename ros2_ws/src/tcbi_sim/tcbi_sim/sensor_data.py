@@ -8,7 +8,11 @@ from tcbi_sim.sensing import Samples
 
 
 class SensorData:
-    """Where each signal stands in `sensordata`, and what it is."""
+    """Where each signal stands in `sensordata`, and what it is.
+
+    Attributes:
+      need_forces: whether joint angles depend on the forces that act just now.
+    """
 
     def __init__(self, mj: mujoco.MjModel, rig: Rig) -> None:
         def columns(*names: str) -> np.ndarray:
@@ -20,6 +24,7 @@ class SensorData:
         bends = {name for names in motors for name in names} <= measured
         self._joints = columns(*(f"position/{j}" for j in rig.joint_names))
         self._motors = [columns(*names) for names in motors] if bends else None
+        self.need_forces = bends
         self._contacts = columns(*(f"contact/{f}" for f in rig.foot_names)) if rig.foot_names else None
         self._imu = [columns(n) for n in ("attitude", "gyro", "accelerometer")] if rig.has_imu else None
         self._tracker = columns("tracker") if rig.floating else None

@@ -189,18 +189,20 @@ class Simulator:
         self._torque_on = np.array(on)
         self._power.write(self._torque_on)
 
-    def advance(self, duration: float) -> Samples:
+    def advance(self, duration: float, forces: bool = True) -> Samples:
         """Step on and return the sensors' readings at the sample rate, the last one at the new time.
 
         Args:
           duration: s, a multiple of the sample interval.
+          forces: whether acceleration and contacts of the last reading are needed; else they may be those of a time
+            step before, which saves solving for the contacts once more.
         """
         samples = round(duration * self.rate)
         if samples < 1 or abs(samples - duration * self.rate) > 1e-6:
             raise SimError(f"can advance by multiples of {1 / self.rate} s, got {duration} s")
         control = self._control(samples)
         if not self._drifting:
-            return self._readings(self._advance(control))
+            return self._readings(self._advance(control, forces or self._signals.need_forces))
         parts = []
         for each in np.split(control, samples, axis=1):
             state = self._state()
@@ -334,7 +336,7 @@ class Simulator:
         control[:, :, self._actuators] = self.path.references(midpoints)
         return control
 
-    def _advance(self, control: np.ndarray) -> Samples:
+    def _advance(self, control: np.ndarray, forces: bool = True) -> Samples:
         """Step through (B, steps, actuators), whole samples, and return the true signals of the new samples."""
         steps = control.shape[1]
         samples = steps // self.per_sample
@@ -344,14 +346,14 @@ class Simulator:
         recorded[failed] = self._sensordata[failed, None]
         times = (self._taken + np.arange(1, samples + 1)) / self.rate
         self._taken += samples
-        last = self._sample_now()
+        last = self._sample_now(mujoco.mjtStage.mjSTAGE_ACC if forces else mujoco.mjtStage.mjSTAGE_VEL)
         # a step's sensors describe the state before it, so sample k is what step k * per_sample saw
         if samples == 1:
             return last
         return Samples.concatenate([self._samples(recorded[:, self.per_sample :: self.per_sample], times[:-1]), last])
 
-    def _sample_now(self) -> Samples:
-        self._run(lambda: self._batch.forward())
+    def _sample_now(self, stage: mujoco.mjtStage = mujoco.mjtStage.mjSTAGE_ACC) -> Samples:
+        self._run(lambda: self._batch.forward(stage=int(stage)))
         bad = ~np.isfinite(self._batch.bind("qpos")).all(axis=1)
         self.diverged |= bad | (self._warnings() > self._warned)
         return self._samples(self._sensordata[:, None, :], np.array([self.time]))
