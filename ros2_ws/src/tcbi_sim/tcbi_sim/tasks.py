@@ -27,6 +27,9 @@ USER_TASKS = "TCBI_TASKS"  # environment variable: the folder with the user's ow
 
 BLOCK_HEIGHT = (0.06, 0.08)  # m (paper, Table 1)
 BLOCK_LENGTH = (0.10, 0.20)  # m (paper, Table 1)
+BLOCK_COUNT = (30, 48)  # one in 0.46 m^2 of the field: the paper places them anywhere
+FIELD_AHEAD = (0.45, 8.0)  # m ahead of the start: as far as the best walks come in an episode
+FIELD_ASIDE = 1.2  # m to either side: who walks straight stays within
 TILT = math.pi / 9  # rad: within Table 1's +-pi/6, and less than the 27 degrees at which the lowest friction gives way
 INITIAL_JOINT = math.pi / 18  # rad, spread of the initial posture about the neutral stance
 
@@ -51,12 +54,12 @@ def draw_balance(rng: np.random.Generator, seed: int = 0) -> Scenario:
 
 
 def draw_forward(rng: np.random.Generator, seed: int = 0) -> Scenario:
-    """Level ground with up to eight blocks ahead of the robot and beside it."""
+    """Level ground with blocks all along the way, ahead of the robot and beside it."""
     blocks = []
-    for _ in range(int(rng.integers(4, 9))):
+    for _ in range(int(rng.integers(BLOCK_COUNT[0], BLOCK_COUNT[1] + 1))):
         height = rng.uniform(*BLOCK_HEIGHT)
         size = (rng.uniform(*BLOCK_LENGTH), rng.uniform(*BLOCK_LENGTH), height)
-        center = (rng.uniform(0.45, 2.0), rng.uniform(-0.6, 0.6), height / 2)
+        center = (rng.uniform(*FIELD_AHEAD), rng.uniform(-FIELD_ASIDE, FIELD_ASIDE), height / 2)
         blocks.append(Block(center, size, rng.uniform(-math.pi, math.pi)))
     return Scenario("forward", 30.0, 0.0, 0.0, tuple(blocks), _posture(rng), seed=seed)
 
@@ -67,7 +70,7 @@ def _posture(rng: np.random.Generator) -> tuple[float, ...]:
 
 TASKS = {
     "balance": Task("balance", 8.0, "level the trunk on a tilted plane", 0, draw_balance),
-    "forward": Task("forward", 30.0, "walk forward over blocks", 8, draw_forward),
+    "forward": Task("forward", 30.0, "walk forward over blocks", BLOCK_COUNT[1], draw_forward),
 }
 
 
