@@ -227,6 +227,26 @@ def test_a_servo_reaches_its_target_on_a_linear_ramp():
     assert samples.joint_position[0, -1, 0] == pytest.approx(0.5, abs=0.05)
 
 
+@pytest.mark.parametrize("effects", [(), ("thermal_fading",), ("link_flexibility",)])
+def test_without_forces_the_last_reading_moves_the_same(effects):
+    """Angles seen behind links that bend depend on the forces, and so does a servo's heat."""
+    model = base_model("hexapod")
+    for name in effects:
+        model = model.with_effect(name)
+    values = 0.5 * (model.sample(np.random.default_rng(0), 2) + model.sample(np.random.default_rng(1), 2))
+    readings = []
+    for forces in (True, False):
+        simulator = Simulator(model, values, [Scenario("walk", 1.0)] * 2, 0.005)
+        simulator.command(np.full((2, 18), 0.2))
+        readings.append(simulator.advance(0.2, forces=forces))
+    for name in ("joint_position", "attitude", "angular_velocity", "position"):
+        full, least = (getattr(r, name) for r in readings)
+        assert np.array_equal(full, least), name
+    acceleration = [r.linear_acceleration for r in readings]
+    assert np.array_equal(acceleration[0][:, :-1], acceleration[1][:, :-1])
+    assert np.array_equal(acceleration[0][:, -1], acceleration[1][:, -1]) == bool(effects)
+
+
 def test_a_diverging_simulation_is_marked_and_leaves_the_others_alone():
     model = base_model("hexapod")
     values = np.repeat([[0.75, 0.8, 2.5]], 2, axis=0)

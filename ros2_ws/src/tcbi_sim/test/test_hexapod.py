@@ -116,6 +116,8 @@ def test_scenarios_stay_within_table_1():
         assert max(abs(tilted.slope_roll), abs(tilted.slope_pitch)) <= math.pi / 6
         assert ahead.blocks and all(0.06 <= b.size[2] <= 0.08 for b in ahead.blocks)
         assert all(0.1 <= edge <= 0.2 for b in ahead.blocks for edge in b.size[:2])
+        # all along the way, not at its beginning alone
+        assert min(b.center[0] for b in ahead.blocks) < 2.0 and max(b.center[0] for b in ahead.blocks) > 6.0
 
 
 @pytest.mark.parametrize("settle", [0.0, 0.05, 0.1, 0.102, 0.4])
