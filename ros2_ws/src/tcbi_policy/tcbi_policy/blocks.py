@@ -22,7 +22,7 @@ class OverBlocks:
     """What of the robot came over a block in each of n rollouts."""
 
     trunk: np.ndarray  # (n,) bool, its middle
-    foot: np.ndarray  # (n,) bool, one of its feet; False where it is unknown where they are
+    feet: np.ndarray  # (n,) how many blocks one of its feet came over; 0 where it is unknown where they are
     past_s: np.ndarray  # (n,) s until its middle was past the last block along the heading at the start; NaN if never
 
 
@@ -31,16 +31,16 @@ def over_blocks(rollouts: SimulatedRollouts) -> OverBlocks:
     assert rollouts.attitude is not None and rollouts.position is not None
     legs = rollouts.rig.name == hexapod_rig().name
     count = len(rollouts.scenarios)
-    found = OverBlocks(np.zeros(count, bool), np.zeros(count, bool), np.full(count, np.nan))
+    found = OverBlocks(np.zeros(count, bool), np.zeros(count, int), np.full(count, np.nan))
     for n, scenario in enumerate(rollouts.scenarios):
         if scenario.blocks:
             rows = n, 0, slice(np.searchsorted(rollouts.time, scenario.duration + 1e-9))
             trunk = rollouts.position[rows]
-            found.trunk[n] = came_over(trunk, scenario)
+            found.trunk[n] = blocks_under(trunk, scenario).any()
             found.past_s[n] = time_past(rollouts.time, trunk, scenario)
             if legs:
                 points = feet(trunk, rollouts.attitude[rows], rollouts.joint_position[rows])
-                found.foot[n] = came_over(points, scenario)
+                found.feet[n] = blocks_under(points, scenario).sum()
     return found
 
 
@@ -56,10 +56,10 @@ def feet(position: np.ndarray, attitude: np.ndarray, joint_position: np.ndarray)
     return position[:, None] + rotate_back(to_world, forward(joint_position))
 
 
-def came_over(points: np.ndarray, scenario: Scenario) -> bool:
-    """Whether one of the points (..., 3), m in the world, is within the edges of one of the scenario's blocks."""
+def blocks_under(points: np.ndarray, scenario: Scenario) -> np.ndarray:
+    """(blocks,) bool, within the edges of which one of the points (..., 3), m in the world, is."""
     on_plane = _on_the_ground(points, scenario)
-    return any(_within(on_plane, block).any() for block in scenario.blocks)
+    return np.array([_within(on_plane, block).any() for block in scenario.blocks], bool)
 
 
 def time_past(time: np.ndarray, points: np.ndarray, scenario: Scenario) -> float:

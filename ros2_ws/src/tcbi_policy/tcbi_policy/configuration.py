@@ -129,7 +129,7 @@ PRESETS: dict[str, dict[str, TrainingConfig]] = {
         "balance": TrainingConfig("balance", steps=81_920, environments=32, batch_size=128, evaluate_every=8),
         "forward": TrainingConfig(
             "forward",
-            steps=110_400,
+            steps=331_200,
             environments=32,
             imitate="stride",
             warm_up=1,

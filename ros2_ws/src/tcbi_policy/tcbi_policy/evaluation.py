@@ -77,16 +77,18 @@ class Evaluation:
     def _blocks(self) -> dict[str, float]:
         """How many rollouts went over a block, how many with a foot, and the mean distance of those and the others.
 
-        And the share of all that left the last block behind, with the mean time until they did.
+        Over how many blocks a rollout put its feet, in the mean, and the share of all that left the last block behind, with the mean time until they did.
         """
         if self.over_blocks is None:
             return {}
         ended = np.isfinite(self.distance)
-        foot, either = ended & self.over_blocks.foot, ended & (self.over_blocks.trunk | self.over_blocks.foot)
+        foot = ended & (self.over_blocks.feet > 0)
+        either = foot | (ended & self.over_blocks.trunk)
         groups = {"distance_over_blocks_m": either, "distance_not_over_blocks_m": ended & ~either}
         past = ended & np.isfinite(self.over_blocks.past_s)
         found: dict[str, float] = {"over_blocks": int(either.sum()), "foot_over_blocks": int(foot.sum())}
         found |= {name: float(self.distance[group].mean()) for name, group in groups.items() if group.any()}
+        found["blocks_under_feet"] = _of_finite(np.mean, np.where(ended, self.over_blocks.feet, np.nan))
         found["past_blocks_share"] = float(past.mean())
         return found | ({"past_blocks_s": float(self.over_blocks.past_s[past].mean())} if past.any() else {})
 

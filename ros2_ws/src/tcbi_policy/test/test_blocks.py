@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tcbi_policy.artefact import find_policy
-from tcbi_policy.blocks import OverBlocks, came_over, feet, over_blocks, time_past
+from tcbi_policy.blocks import OverBlocks, blocks_under, feet, over_blocks, time_past
 from tcbi_policy.evaluation import Evaluation, draw_conditions, evaluate
 from tcbi_policy.kinematics import neutral_feet
 from tcbi_sim.engine import simulate
@@ -26,12 +26,22 @@ def straight(y: float, to: float = 2.0) -> np.ndarray:
     return np.stack([x, np.full_like(x, y), np.full_like(x, 0.11)], axis=-1)
 
 
+def came_over(points: np.ndarray, scenario: Scenario) -> bool:
+    return bool(blocks_under(points, scenario).any())
+
+
 def test_a_path_across_a_block_is_over_it_and_one_beside_or_short_of_it_is_not() -> None:
     assert came_over(straight(0.3), with_blocks(BLOCK))
     assert came_over(straight(0.349), with_blocks(BLOCK)) and not came_over(straight(0.351), with_blocks(BLOCK))
     assert not came_over(straight(0.3, to=0.89), with_blocks(BLOCK))
     assert came_over(straight(0.3), with_blocks(dataclasses.replace(BLOCK, center=(9.0, 0.0, 0.0)), BLOCK))
     assert not came_over(straight(0.3), with_blocks())
+
+
+def test_each_block_under_a_path_counts_once() -> None:
+    beyond = dataclasses.replace(BLOCK, center=(1.5, 0.3, 0.035))
+    beside = dataclasses.replace(BLOCK, center=(1.5, -0.3, 0.035))
+    assert blocks_under(straight(0.3), with_blocks(BLOCK, beside, beyond)).tolist() == [True, False, True]
 
 
 def test_a_turned_block_has_its_edges_where_it_is_turned_to() -> None:
@@ -93,20 +103,21 @@ def test_standing_on_a_block_is_seen_with_the_feet_and_without_the_trunk() -> No
         pairing="zip", timestep=0.01, threads=1,
     )  # fmt: skip
     found = over_blocks(out)
-    assert (found.foot.tolist(), found.trunk.tolist()) == ([True, False, False], [False, False, True])
+    assert (found.feet.tolist(), found.trunk.tolist()) == ([1, 0, 0], [False, False, True])
 
 
 def test_the_summary_counts_who_went_over_blocks_and_how_far_they_came_without_those_that_diverged() -> None:
     distance = np.array([4.0, 2.0, 1.0, 0.0, np.nan])
     past_s = np.array([12.0, np.nan, 16.0, np.nan, 3.0])
-    over = OverBlocks(np.array([True, False, False, False, True]), np.array([True, True, False, False, True]), past_s)
+    over = OverBlocks(np.array([True, False, False, False, True]), np.array([3, 2, 0, 0, 7]), past_s)
     said = Evaluation(distance, distance, distance, over).summary()
     assert (said["over_blocks"], said["foot_over_blocks"]) == (2, 2)
+    assert said["blocks_under_feet"] == pytest.approx(5 / 4), "of all that did not diverge"
     assert said["distance_over_blocks_m"] == pytest.approx(3.0)
     assert said["distance_not_over_blocks_m"] == pytest.approx(0.5)
     assert said["past_blocks_share"] == pytest.approx(2 / 5), "of all, and who diverged has not passed"
     assert said["past_blocks_s"] == pytest.approx(14.0)
-    only_trunk = OverBlocks(np.ones(5, bool), np.zeros(5, bool), np.full(5, np.nan))
+    only_trunk = OverBlocks(np.ones(5, bool), np.zeros(5, int), np.full(5, np.nan))
     said = Evaluation(distance, distance, distance, only_trunk).summary()
     assert (said["over_blocks"], said["foot_over_blocks"]) == (4, 0)
     assert "distance_not_over_blocks_m" not in said  # there are none

@@ -13,7 +13,7 @@ UNITS = {
     **{"cpu_s": "s", "mean_return": "points", "sd_return": "points"},
     **{"final_inclination_deg": "deg", "distance_m": "m", "median_distance_m": "m"},
     **{"over_blocks": "rollouts", "foot_over_blocks": "rollouts", "past_blocks_share": "share", "past_blocks_s": "s"},
-    **{"distance_over_blocks_m": "m", "distance_not_over_blocks_m": "m"},
+    **{"blocks_under_feet": "blocks", "distance_over_blocks_m": "m", "distance_not_over_blocks_m": "m"},
 }
 POINTS = "return: points of the task's reward, summed over an episode; docs/policies.md says what each is given for"
 ROLLOUTS, SEED = 64, 1

@@ -106,7 +106,7 @@ HOUR = Plan(
 FULL = Plan(
     {
         "balance": TaskPlan("balance-early", 20, 50, 15, 81_920, 30, 30),
-        "forward": TaskPlan("forward-early", 20, 50, 15, 110_400, 30, 30),
+        "forward": TaskPlan("forward-early", 20, 50, 15, 331_200, 30, 30),
     },
     tuple((seed, "strong") for seed in range(11, 19)),
     diagnosis=demo.FULL,
