@@ -268,18 +268,57 @@ def test_who_cancels_after_the_comparison_gets_no_other_policy_on_the_robot(
     handle: Any = SimpleNamespace(succeed=lambda: ends.append("succeed"))
     handle.is_cancel_requested = moment == "before the swap"
 
-    def appears(_: float) -> bool:
+    def appears() -> bool:
         handle.is_cancel_requested = True
         return True
 
     asked: list[Any] = []
-    node._load = SimpleNamespace(wait_for_service=appears, call=lambda request, **_: asked.append(request))
+    node._load = SimpleNamespace(service_is_ready=appears, call_async=asked.append)
     result, job = Retrain.Result(), Job("balance", "gait:stand")
     outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", "gait:stand")
     node._finish(handle, result, outcome, job)
     node.destroy_node()
     assert not asked and ends == ["succeed"] and result.accepted
     assert result.message == "better; kept as balance-1, not loaded: cancelled after the comparison"
+
+
+def test_who_cancels_does_not_wait_for_a_policy_node_that_hangs(
+    own_process: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retrain_node_module, "TrainingProcess", lambda: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(retrain_node_module, "SWAP_TIMEOUT_S", 60.0)
+    node: Any = RetrainNode()
+    handle: Any = SimpleNamespace(is_cancel_requested=False, succeed=lambda: None)
+    asked: list[Any] = []
+
+    def hangs(request: Any) -> Any:
+        asked.append(request)
+        handle.is_cancel_requested = True
+        return SimpleNamespace(done=lambda: False)
+
+    node._load = SimpleNamespace(service_is_ready=lambda: True, call_async=hangs)
+    result = Retrain.Result()
+    outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", "")
+    began = time.monotonic()
+    node._finish(handle, result, outcome, Job("balance", "gait:stand"))
+    took = time.monotonic() - began
+    node.destroy_node()
+    assert len(asked) == 1 and took < 30.0, "the node's own limit was 60 s"
+    assert "cancelled while it was asked to take it" in result.message
+
+
+def test_a_gait_that_only_moves_the_robot_for_a_recording_is_no_rival(
+    own_process: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retrain_node_module, "TrainingProcess", lambda: SimpleNamespace(close=lambda: None))
+    node: Any = RetrainNode()
+    rivals = []
+    for in_use in ("", "gait:steps", find_policy("balance").policy_id, "gait:steps"):
+        if in_use:
+            node._on_policy(String(data=in_use))
+        rivals.append(node._job(Retrain.Goal(task="balance")).current)
+    node.destroy_node()
+    assert rivals == ["gait:stand", "gait:steps", "balance", "balance"]
 
 
 @pytest.mark.slow

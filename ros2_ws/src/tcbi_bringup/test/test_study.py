@@ -177,6 +177,17 @@ def test_a_report_is_only_written_of_a_study_and_changes_nothing_of_it(tmp_path:
     assert (tmp_path / "study.html").is_file() and "0 of" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [("study.jsonl", '{"key": ["collect"], "result": {}}\n{"key\n', "line 2: .*remove that line"),
+     ("plan.json", "{", "no plan of a study; remove it")],
+)  # fmt: skip
+def test_a_damaged_file_of_a_study_is_named_with_what_to_do(tmp_path: Path, name: str, text: str, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(BringupError, match=f"{name}.*{said}"):
+        studied(tmp_path, "--tasks", "balance", "--robots", "11")
+
+
 def test_a_second_process_on_a_study_is_refused_in_one_line_that_names_the_first(tmp_path: Path) -> None:
     with hold(tmp_path), pytest.raises(BringupError, match=f"process {os.getpid()} goes on") as refused:
         studied(tmp_path)

@@ -218,3 +218,9 @@ def test_holms_correction_is_the_textbooks() -> None:
     rows = [{"p": p} for p in (0.01, 0.04, 0.03)]
     tables._holm(rows, "p")
     assert [r["p_holm"] for r in rows] == pytest.approx([0.03, 0.06, 0.06])
+
+
+def test_holms_correction_leaves_out_what_is_not_known() -> None:
+    rows: tables.Rows = [{"p": p} for p in (float("nan"), 0.001, 0.02)]
+    tables._holm(rows, "p")
+    assert [r["p_holm"] for r in rows] == pytest.approx([float("nan"), 0.002, 0.02], nan_ok=True)

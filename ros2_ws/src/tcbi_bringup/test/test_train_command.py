@@ -67,6 +67,14 @@ def test_a_policy_that_is_there_is_not_written_over(tmp_path: Path) -> None:
     with pytest.raises(WrongCallError, match="is there already"):
         planned(tmp_path, "--out", str(tmp_path / "policies" / "mine.safetensors"))
     planned(tmp_path, "--out", "another")
+    for folder in (f"{tmp_path}/policies", f"{tmp_path}/not-there/"):
+        with pytest.raises(WrongCallError, match=r"--out: .* is a folder; add the policy's name"):
+            planned(tmp_path, "--out", folder)
+
+
+def test_sac_does_not_go_on_from_a_policy(tmp_path: Path) -> None:
+    with pytest.raises(WrongCallError, match=r"--start: the preset paper .*--preset fast"):
+        planned(tmp_path, "--preset", "paper", "--start", "balance")
 
 
 def test_a_place_that_cannot_be_written_to_is_refused_before_the_training(tmp_path: Path) -> None:

@@ -77,7 +77,8 @@ class Evaluation:
     def _blocks(self) -> dict[str, float]:
         """How many rollouts went over a block, how many with a foot, and the mean distance of those and the others.
 
-        Over how many blocks a rollout put its feet, in the mean, and the share of all that left the last block behind, with the mean time until they did.
+        Over how many blocks a rollout put its feet, in the mean; and the share of all that left the last block behind,
+        with the mean time until they did.
         """
         if self.over_blocks is None:
             return {}

@@ -1,8 +1,9 @@
 """The action `retrain`: trains in a subprocess while the graph goes on, and swaps a better policy in."""
 
 import math
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,12 @@ from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_msgs.action import Retrain
 from tcbi_msgs.srv import LoadPolicy
+from tcbi_policy.artefact import GAIT_PREFIX
 from tcbi_policy.retraining import Event, Job, Outcome, better_than_another, reference_of, retrain
 from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
-SWAP_TIMEOUT_S = 5.0
+SWAP_TIMEOUT_S, SWAP_POLL_S = 5.0, 0.05
 # after a training: just then the robot tries the new policy, and has no processor to spare; or after a failed start
 STAND_BY_AGAIN_S = 60.0
 ENDING_S, ENDING_POLL_S = 4.0, 0.1  # for a training to end with the node
@@ -49,7 +51,8 @@ class RetrainNode(Node):
         self.values = declare(self, RetrainParameters)
         self._store = Path(self.values.store).expanduser() if self.values.store else default_root()
         self._busy = self._closing = False
-        self._in_use = ""
+        self._accepting = threading.Lock()  # goals come in several threads
+        self._in_use = self._trained = ""  # ids of the policy or gait in use, and of the last one that was no gait
         self._state: dict[str, Any] = {"state": "idle"}
         self._waiting: TrainingProcess | None = None
         self._stand_by_from_s = 0.0  # on the steady clock
@@ -69,13 +72,16 @@ class RetrainNode(Node):
 
     def _on_policy(self, message: String) -> None:
         self._in_use = message.data
+        if not message.data.startswith(GAIT_PREFIX):
+            self._trained = message.data
 
     def _on_goal(self, goal: Retrain.Goal) -> GoalResponse:
-        if self._busy:
-            self.get_logger().warning("a training is running; cancel it first")
-            return GoalResponse.REJECT
-        self._busy = True
-        return GoalResponse.ACCEPT
+        with self._accepting:
+            if self._busy:
+                self.get_logger().warning("a training is running; cancel it first")
+                return GoalResponse.REJECT
+            self._busy = True
+            return GoalResponse.ACCEPT
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         return CancelResponse.ACCEPT
@@ -132,7 +138,9 @@ class RetrainNode(Node):
             self._waiting.close()
 
     def _job(self, goal: Retrain.Goal) -> Job:
-        current = reference_of(self._in_use, self._store) if self._in_use else self.values.fallback_policy
+        # a gait is lent to the robot for a recording; what it will get back is what a new policy must beat
+        rival = self._trained or self._in_use
+        current = reference_of(rival, self._store) if rival else self.values.fallback_policy
         return Job(
             task=goal.task, current=current, start=goal.policy, model=goal.model or LATEST, store=self._store,
             budget_s=goal.budget_s, budget_steps=goal.budget_steps, seed=goal.seed, threads=self.values.threads,
@@ -172,17 +180,26 @@ class RetrainNode(Node):
         Who cancels after the comparison has a verdict, but no other policy on the robot.
         """
         reference = outcome.reference
-        there = handle.is_cancel_requested or self._load.wait_for_service(SWAP_TIMEOUT_S)
+        there = self._comes(handle, self._load.service_is_ready)
         if handle.is_cancel_requested:
             return f"kept as {reference}, not loaded: cancelled after the comparison"
         if not there:
             return f"kept as {reference}: no policy node runs that could take it"
         if why_not := better_than_another(self._in_use, outcome.rival, task, self._store):
             return f"kept as {reference}: {why_not}"
-        response = self._load.call(LoadPolicy.Request(policy=reference), timeout_sec=SWAP_TIMEOUT_S)
-        if response is None:
-            return f"kept as {reference}: the policy node did not answer"
+        answer = self._load.call_async(LoadPolicy.Request(policy=reference))
+        if not self._comes(handle, answer.done):
+            cancelled = ", cancelled while it was asked to take it" if handle.is_cancel_requested else ""
+            return f"kept as {reference}: the policy node did not answer{cancelled}"
+        response = answer.result()
         return f"now in use as {response.policy_id}" if response.success else f"kept as {reference}: {response.message}"
+
+    def _comes(self, handle: ServerGoalHandle, there: Callable[[], bool]) -> bool:
+        """Whether something is there in time; who cancels does not wait for it."""
+        deadline = time.monotonic() + SWAP_TIMEOUT_S
+        while not (found := there()) and time.monotonic() < deadline and not handle.is_cancel_requested:
+            time.sleep(SWAP_POLL_S)
+        return found
 
     def _diagnose(self) -> None:
         self._stand_by()

@@ -67,6 +67,7 @@ class State:
     cpu: float = 0.0  # s of processor time
     imitated: bool = False
     best: float = -np.inf  # mean return on the fixed seeds
+    best_steps: int = 0  # when that was
     best_diverged: int = 0  # simulations there; the best is the one with the fewest, and among those of the most return
     curve: list[dict[str, float]] = field(default_factory=list)
 
@@ -146,7 +147,8 @@ class Training:
         self.progress()
         policy = self._artefact()
         self._save()
-        done = {"policy": str(policy.path), "policy_id": policy.policy_id, "mean_return": self.state.best}
+        done = {"policy": str(policy.path), "policy_id": policy.policy_id}
+        done |= {"mean_return": self.state.best, "best_steps": self.state.best_steps}
         spent = {"steps": self.state.steps, "elapsed_s": self.state.elapsed, "cpu_s": self.state.cpu}
         self._report({"event": "done", **done, **spent})
         return policy
@@ -268,6 +270,7 @@ class Training:
         rank, best = (-result["diverged"], result["mean_return"]), (-self.state.best_diverged, self.state.best)
         if len(self.state.curve) == 1 or rank > best:
             self.state.best_diverged, self.state.best = int(result["diverged"]), result["mean_return"]
+            self.state.best_steps = self.state.steps
             self.best = present
         self.events.add(self.state.steps, {f"evaluation/{name}": value for name, value in result.items()})
         self._report({"event": "evaluation", **point})
@@ -278,7 +281,8 @@ class Training:
         posterior = {p.name: {"unit": p.unit, "mean": float(m), "sd": float(s)}
                      for p, m, s in zip(self.model.parameters, self.model.mean(), spread, strict=True)}  # fmt: skip
         config = dataclasses.asdict(self.config)
-        taken = {"steps_taken": self.state.steps, "cpu_s": round(self.state.cpu, 1), "mean_return": self.state.best}
+        taken = {"steps_taken": self.state.steps, "cpu_s": round(self.state.cpu, 1),
+                 "mean_return": self.state.best, "best_steps": self.state.best_steps}  # fmt: skip
         return save_policy(self.folder / "policy", self.best, Card(
             name=self.config.task, task=self.config.task, model=self.version, posterior=posterior,
             training={**config, **taken},

@@ -86,7 +86,7 @@ def _list(args: argparse.Namespace, root: Any) -> int:
         console.emit({"policies": policies, "gaits": gaits})
         return 0
     rows = [[p["policy_id"], p["task"], p["model"], p["mean_return"], p["created"]] for p in policies]
-    console.table("trained policies", ["policy", "task", "model", "mean return / points", "made"], rows)
+    console.table("trained policies", ["policy", "task", "model", "best evaluation / points", "made"], rows)
     print(POINTS)
     print(f"scripted gaits: {', '.join(gaits)}")
     return 0
@@ -110,7 +110,7 @@ def _facts(policy: Any) -> dict[str, Any]:
     card, training = policy.card, policy.card.training
     facts = {"policy_id": policy.policy_id, "path": str(policy.path), "steps": training.get("steps_taken")}
     facts |= {key: getattr(card, key) for key in ("task", "model", "parent", "created")}
-    return facts | {key: training.get(key) for key in ("algorithm", "cpu_s", "seed", "mean_return")}
+    return facts | {key: training.get(key) for key in ("algorithm", "cpu_s", "seed", "mean_return", "best_steps")}
 
 
 def _export(policy: Any, path: Path) -> str:
@@ -120,6 +120,8 @@ def _export(policy: Any, path: Path) -> str:
 
     if not isinstance(policy, Policy):
         raise PolicyError(f"{policy.policy_id} is a script and has no network to export; name a trained policy")
+    if path.is_dir():
+        raise PolicyError(f"--onnx: {path} is a folder; name a file, such as {path / policy.card.name}.onnx")
     if not path.parent.is_dir():
         raise PolicyError(f"{path.parent} is no folder; make it, or give another path to --onnx")
     replace_file(path, to_onnx(policy.mlp, policy.card))

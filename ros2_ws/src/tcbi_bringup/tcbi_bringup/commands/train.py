@@ -75,13 +75,15 @@ def run(args: argparse.Namespace) -> int:
             done = event if event["event"] == "done" else done
     path = _publish(folder, args.out, store.root)
     result = {"policy": str(path), "policy_id": f"{path.stem}@{done['policy_id'].partition('@')[2]}", "task": args.task,
-              "model": planned.model, "steps": done["steps"], "mean_return": done["mean_return"],
+              "model": planned.model, "steps": done["steps"],
+              "mean_return": done["mean_return"], "best_steps": done["best_steps"],
               "seconds": done["elapsed_s"], "cpu_seconds": done["cpu_s"]}  # fmt: skip
     if args.json:
         console.emit(result)
     else:
         print(
-            f"{result['policy_id']}: mean return {_known(done['mean_return']):.0f} after {done['steps']} steps, {path}"
+            f"{result['policy_id']}: mean return {_known(done['mean_return']):.0f}, the best evaluation, after "
+            f"{done['best_steps']} of {done['steps']} steps, {path}"
         )
     return 0
 
@@ -91,7 +93,7 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
 
     Raises:
       TcbiError: an unknown task, preset, model, effect or policy.
-      WrongCallError: `--out` gives the policy no name.
+      WrongCallError: `--out` gives the policy no name, or a preset cannot go on from a policy.
     """
     from tcbi_policy.artefact import Policy, find_policy
     from tcbi_policy.configuration import check_start, preset
@@ -104,6 +106,11 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     config, model = preset(args.preset, args.task), store.load(args.model)
     check_rig(f"of {args.task}", model)
     changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "prior": args.prior}
+    if args.start and config.algorithm == "sac":
+        raise WrongCallError(
+            f"--start: the preset {args.preset} (SAC) begins with random actions and would forget {args.start}; go on "
+            "from a policy with --preset fast"
+        )
     if args.start:
         config, start = fine_tuning(config), find_policy(args.start, store.root)
         if not isinstance(start, Policy):
@@ -126,7 +133,7 @@ def check_place(out: str, root: Path) -> None:
     """Refuse, before a training begins, a place where its policy could not be kept.
 
     Raises:
-      WrongCallError: `--out` gives the policy no name, or that of a policy that is there.
+      WrongCallError: `--out` gives the policy no name, a folder, or that of a policy that is there.
       BringupError: nothing can be written there.
     """
     name = Path(out).name
@@ -134,6 +141,8 @@ def check_place(out: str, root: Path) -> None:
         raise WrongCallError(
             f"--out: got {out!r}, allowed is a name, or a path that ends in one; it begins with no dot"
         )
+    if out.endswith(os.sep) or (os.sep in out and Path(out).expanduser().is_dir()):
+        raise WrongCallError(f"--out: {out} is a folder; add the policy's name, such as {Path(out) / 'mine'}")
     stem = _stem(out or "any", root)
     if out and (there := stem.with_name(f"{stem.name}.safetensors")).exists():
         raise WrongCallError(f"--out: {there} is there already; give another name, or remove it first")

@@ -307,7 +307,10 @@ def _sizes_with(plan: Plan, folder: Path) -> Result:
     path = folder / PLAN
     sizes = {task: dataclasses.asdict(p) for task, p in plan.tasks.items()}
     sizes["all"] = {"noise": list(plan.noise), "motions": list(plan.diagnosis.motions)}
-    known = json.loads(path.read_text()) if path.exists() else {}
+    try:
+        known = json.loads(path.read_text()) if path.exists() else {}
+    except ValueError:
+        raise BringupError(f"{path} is no plan of a study; remove it, and the sizes that are asked for count") from None
     different = [name for name, size in sizes.items() if known.get(name, size) != size]
     if different:
         raise BringupError(

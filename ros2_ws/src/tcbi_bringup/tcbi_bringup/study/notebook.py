@@ -58,6 +58,9 @@ class Notebook:
 
     A piece is done unless its result is marked `not_yet`: such a one can be read, and is worked out anew. Opening
     changes nothing; a last line that was cut off is cut away before the first that is written.
+
+    Raises:
+      BringupError: a line is no result.
     """
 
     def __init__(self, path: Path):
@@ -65,9 +68,14 @@ class Notebook:
         self._found: dict[Key, Result] = {}
         data = path.read_bytes() if path.exists() else b""
         self._complete = data.rfind(b"\n") + 1
-        for line in data[: self._complete].decode().splitlines():
-            entry = json.loads(line)
-            self._found[tuple(entry["key"])] = entry["result"]
+        for number, line in enumerate(data[: self._complete].splitlines(), start=1):
+            try:
+                entry = json.loads(line)
+                self._found[tuple(entry["key"])] = entry["result"]
+            except (ValueError, KeyError, TypeError):
+                raise BringupError(
+                    f"{path}, line {number}: no result of a study; remove that line, and its piece is done again"
+                ) from None
 
     def __contains__(self, key: Key) -> bool:
         return "not_yet" not in self._found.get(key, {"not_yet": True})

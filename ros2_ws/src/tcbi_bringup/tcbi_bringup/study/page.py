@@ -39,6 +39,10 @@ WELCH = (
 BAND = "Mean over robots, with its 95 % interval as a band; with fewer than three, a thin line for each robot."
 NONE_OF_FEW = "Intervals are 95 %, Student's t over robots: with fewer than three robots there is none."
 CAPTION_OF_TIME = "Figure 11: wall time of a generation. Median of each robot's generations, mean over robots, 95 %"
+UNDER_NOISE = (
+    "return under noise on what the policy sees. Bands are 95 %; with fewer than three rollouts on each of fewer than "
+    "three robots there is none."
+)
 ONE_BY_ONE = (
     "Pieces of work run one after another, so the sum is how long the study ran, without what was lost with pieces "
     "that were cut off."
@@ -143,7 +147,7 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
         shown.append(
             Figure(
                 lines_of_noise(found["noise"]),
-                f"Figure {12 if task == 'balance' else 13}: return under noise on what the policy sees",
+                f"Figure {12 if task == 'balance' else 13}: {UNDER_NOISE}",
                 True,
             )
         )

@@ -75,6 +75,7 @@ class Findings:
     def left_out(self) -> list[str]:
         """Why a contestant does not take part, and what each diagnosis said."""
         lines = dict.fromkeys(self._missing())
+        told: dict[str, dict[str, None]] = {}  # where each warning was given
         for robot in self.robots:
             diagnosed = self.notebook.get("diagnose", robot)
             if diagnosed and "statement" in diagnosed:
@@ -83,12 +84,13 @@ class Findings:
                 for name in self.plan.contestants:
                     found = self.notebook.get("infer", task, robot, name) or {}
                     about = f"robot {robot}, {task}, {LABELS[name]}"
-                    lines |= {f"{about}: {warning}": None for warning in found.get("warnings", ())}
+                    for warning in found.get("warnings", ()):
+                        told.setdefault(warning, {})[about] = None
                     if (self.notebook.get("train", task, robot, name) or {}).get("unchanged"):
                         lines[f"{about}: no moment of the training was better than the first policy, which runs"] = None
                     if "same_as" in found:
                         lines[f"robot {robot}: no effect was added, so {LABELS[name]} is {LABELS[WINNER]} there"] = None
-        return list(lines)
+        return [*lines, *(f"{'; '.join(places)}: {warning}" for warning, places in told.items())]
 
     def mixed(self) -> list[str]:
         """A warning where the pieces come from several versions of the code, whose results may not compare."""
@@ -197,7 +199,10 @@ def comparisons(findings: Findings, task: str, rival: str = WINNER) -> Rows:
 
 def _holm(rows: Rows, key: str) -> None:
     """Beside each p value the one that is corrected for how many comparisons there are (Holm)."""
-    order = sorted((r for r in rows if key in r), key=lambda r: r[key])
+    compared = [r for r in rows if key in r]
+    for row in compared:
+        row[f"{key}_holm"] = float("nan")  # where a p value is not known
+    order = sorted((r for r in compared if np.isfinite(r[key])), key=lambda r: r[key])
     least = 0.0
     for rank, row in enumerate(order):
         least = max(least, min(1.0, row[key] * (len(order) - rank)))
