@@ -218,7 +218,7 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
     if measurement.attitude is None or len(measurement.attitude) == 0 or len(commands.time) == 0:
         lack = "attitude" if len(commands.time) else "commands"
         raise RewardError(f"rollout {measurement.rollout_id}: no {lack} recorded, so it has no reward")
-    rows = _rows_at_ticks(measurement.time, commands.time)
+    rows = rows_at_ticks(measurement.time, commands.time)
     start = measurement.scenario.initial_joint_position
     previous = np.zeros(commands.target.shape[1]) if start is None else np.asarray(start, float)
     attitude = measurement.attitude[rows]
@@ -234,7 +234,7 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
     return EpisodeReward(np.full(len(commands.time), np.nan), float(steps.sum() + end))
 
 
-def _rows_at_ticks(sample_time: np.ndarray, command_time: np.ndarray) -> np.ndarray:
+def rows_at_ticks(sample_time: np.ndarray, command_time: np.ndarray) -> np.ndarray:
     """Row (K + 1,) of the newest sample at each control tick and at the end of the last step."""
     ticks = np.append(command_time, command_time[-1] + CONTROL_PERIOD_S)
     rows = np.searchsorted(sample_time, ticks + 1e-6, side="right") - 1
@@ -252,7 +252,7 @@ def simulated_rewards(rollouts: SimulatedRollouts) -> np.ndarray:
     starts = [s.initial_joint_position or np.zeros(joints) for s in scenarios.ravel()]
     previous = np.array(starts, float).reshape(*shape, joints)
     heading = np.array([s.initial_yaw for s in scenarios.ravel()]).reshape(shape)
-    rows = _rows_at_ticks(rollouts.time, rollouts.command_time)
+    rows = rows_at_ticks(rollouts.time, rollouts.command_time)
     attitude, way = rollouts.attitude[:, :, rows], progress(rollouts.position[:, :, rows], heading)
     rewards = np.full((*shape, len(rollouts.command_time)), np.nan)
     for task in sorted({s.task for s in rollouts.scenarios}):

@@ -14,7 +14,7 @@ from tcbi_infer.compare.noise import from_fast_changes, scatter
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.gaps import unusable
 from tcbi_policy.errors import RewardError
-from tcbi_policy.reward import inclination, progress, step_rewards
+from tcbi_policy.reward import inclination, progress, rows_at_ticks, step_rewards
 from tcbi_sim.engine import SimulatedRollouts
 from tcbi_sim.measurement import Commands, Scenario
 
@@ -126,8 +126,7 @@ def _rewards(
     """(..., K) of each control step that ended; None where the task has no reward or needs what is missing."""
     if not len(commands.time):
         return None
-    ticks = np.append(commands.time, commands.time[-1] + CONTROL_PERIOD_S)
-    rows = np.clip(np.searchsorted(time, ticks + 1e-6, "right") - 1, 0, len(time) - 1)
+    rows = rows_at_ticks(time, commands.time)
     start = scenario.initial_joint_position
     before: np.ndarray | float = 0.0 if start is None else np.asarray(start, float)
     moved = None if position is None else progress(position, scenario.initial_yaw)[..., rows]
@@ -135,7 +134,8 @@ def _rewards(
         reward = step_rewards(scenario.task, attitude[..., rows, :], moved, commands.target, before)
     except RewardError:  # the task has none, or needs a position
         return None
-    return np.where(ticks[1:] < time[-1] + 0.5 * CONTROL_PERIOD_S, reward, np.nan)
+    ends = np.append(commands.time[1:], commands.time[-1] + CONTROL_PERIOD_S)
+    return np.where(ends < time[-1] + 0.5 * CONTROL_PERIOD_S, reward, np.nan)
 
 
 def _stacked(replay: Replay, each: Sequence[Values]) -> Values:

@@ -6,9 +6,16 @@ return, hence the mean reward per step: one sample a rollout.
 
 import numpy as np
 
-from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.statistics.base import RolloutArrays, Statistic
-from tcbi_policy.reward import DISTANCE, counts_distance, has_reward, needs_position, step_rewards, terms_of
+from tcbi_policy.reward import (
+    DISTANCE,
+    counts_distance,
+    has_reward,
+    needs_position,
+    rows_at_ticks,
+    step_rewards,
+    terms_of,
+)
 from tcbi_sim.measurement import progress
 
 
@@ -22,8 +29,7 @@ def rewards(arrays: RolloutArrays) -> np.ndarray:
         given = int(np.isfinite(arrays.command_time[i]).sum())
         if given == 0:
             continue
-        ticks = np.append(arrays.command_time[i, :given], arrays.command_time[i, given - 1] + CONTROL_PERIOD_S)
-        rows = np.clip(np.searchsorted(arrays.time, ticks + 1e-6, "right") - 1, 0, len(arrays.time) - 1)
+        rows = rows_at_ticks(arrays.time, arrays.command_time[i, :given])
         moved = None if arrays.position is None else progress(arrays.position[:, i, rows], scenario.initial_yaw)
         start = scenario.initial_joint_position
         previous: np.ndarray | float = 0.0 if start is None else np.asarray(start, float)
