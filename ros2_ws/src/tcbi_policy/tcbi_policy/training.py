@@ -147,7 +147,7 @@ class Training:
         self.progress()
         policy = self._artefact()
         self._save()
-        done = {"policy": str(policy.path), "policy_id": policy.policy_id}
+        done: dict[str, Any] = {"policy": str(policy.path), "policy_id": policy.policy_id}
         done |= {"mean_return": self.state.best, "best_steps": self.state.best_steps}
         spent = {"steps": self.state.steps, "elapsed_s": self.state.elapsed, "cpu_s": self.state.cpu}
         self._report({"event": "done", **done, **spent})
