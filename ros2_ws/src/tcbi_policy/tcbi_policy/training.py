@@ -282,7 +282,8 @@ class Training:
                      for p, m, s in zip(self.model.parameters, self.model.mean(), spread, strict=True)}  # fmt: skip
         config = dataclasses.asdict(self.config)
         taken = {"steps_taken": self.state.steps, "cpu_s": round(self.state.cpu, 1),
-                 "mean_return": self.state.best, "best_steps": self.state.best_steps}  # fmt: skip
+                 "mean_return": self.state.best, "best_steps": self.state.best_steps,
+                 "evaluation_seed": EVALUATION_SEED}  # fmt: skip
         return save_policy(self.folder / "policy", self.best, Card(
             name=self.config.task, task=self.config.task, model=self.version, posterior=posterior,
             training={**config, **taken},

@@ -57,11 +57,10 @@ def _train_run(folder: Path, run: Run, report: Report) -> None:
     if start is not None and not isinstance(start, Policy):
         raise TrainingError(f"training cannot start from the scripted gait {run.start}; name a trained policy, or none")
     rival = find_policy(run.rival, store.root) if run.rival else None
-    if rival is None:
-        Training(folder, run.config, model, start, report).run()
-        return
-    model, unseen = divided(model)
+    model, unseen = divided(model)  # also where nothing is judged: what comes out may start what will be
     policy = Training(folder, run.config, model, start, report).run()
+    if rival is None:
+        return
     note = ""
     if unseen is model:
         note = ", whose scenarios are new; too few particles bear weight to keep some from the training"

@@ -23,7 +23,7 @@ from tcbi_policy.artefact import Policy, find_policy, keep_policy, load_policy, 
 from tcbi_policy.errors import PolicyMisfit, PolicyNotFound, TrainingError
 from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
 from tcbi_policy.gaits import Gait
-from tcbi_policy.randomisation import randomised
+from tcbi_policy.randomisation import divided, randomised
 from tcbi_policy.retraining import OUTCOME, better_than_another, next_name, plan, publish, reference_of, retrain
 from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_policy.training import Training
@@ -219,6 +219,24 @@ def test_a_run_on_other_code_than_the_process_that_would_train_it_is_refused(
     monkeypatch.setattr(training_process, "LOADED", "code changed")
     with pytest.raises(TrainingError, match=r"changed after the program .* had started; restart it"):
         train_run(folder, lambda event: None)
+
+
+def test_a_training_without_a_comparison_draws_no_particle_that_others_are_judged_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+
+    class Watched(Training):
+        def run(self) -> Policy:
+            drawn.append(self.model)
+            return super().run()
+
+    monkeypatch.setattr(training_process, "Training", Watched)
+    store = ModelStore(tmp_path)
+    model = store.load("hexapod-v0")
+    train_run(write_run(tmp_path / "run", Run.of(TINY, model, store.root)), lambda event: None)
+    kept, held_out = divided(model)
+    assert len(held_out.particles) and np.array_equal(drawn[0].particles, kept.particles)
 
 
 def test_two_policies_that_are_kept_at_once_have_a_name_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
