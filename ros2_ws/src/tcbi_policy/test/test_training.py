@@ -23,14 +23,16 @@ from tcbi_policy.configuration import PRESETS, TrainingConfig, preset
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.gaits import CYCLES
 from tcbi_policy.imitation import next_posture
+from tcbi_policy.randomisation import divided
 from tcbi_policy.runs import Run, TrainingProcess, alone, write_run
 from tcbi_policy.stable_baselines import OBSERVATION_SCALE
 from tcbi_policy.training import Training
 from tcbi_sim.errors import UnknownNameError
-from tcbi_sim.model import base_model
+from tcbi_sim.model import Model, base_model
 from tcbi_sim.tasks import find_task
 
 MODEL = base_model("hexapod")
+KEPT, _ = divided(MODEL)  # the part of it that a training process draws from
 SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
 TINY = TrainingConfig("balance", steps=480, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
 
@@ -39,7 +41,9 @@ class Killed(Exception):
     """Stands for the end of the process."""
 
 
-def train(folder: Path, config: TrainingConfig = TINY, die_after: int = -1, **options: Any) -> Policy:
+def train(
+    folder: Path, config: TrainingConfig = TINY, die_after: int = -1, model: Model = MODEL, **options: Any
+) -> Policy:
     folder.mkdir(exist_ok=True)
     progress = 0
 
@@ -49,7 +53,7 @@ def train(folder: Path, config: TrainingConfig = TINY, die_after: int = -1, **op
         if event["event"] == "progress" and progress == die_after:
             raise Killed
 
-    return Training(folder, config, MODEL, report=report, **options).run()
+    return Training(folder, config, model, report=report, **options).run()
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
@@ -328,7 +332,7 @@ def test_presets_exist_for_both_tasks_and_the_papers_settings_are_the_papers() -
 
 @SUBPROCESS
 def test_a_process_that_is_killed_says_so_and_the_next_one_ends_with_the_same_weights(tmp_path: Path) -> None:
-    whole = train(tmp_path / "whole")
+    whole = train(tmp_path / "whole", model=KEPT)
     folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0", str(tmp_path)))
     with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="signal 9"):
         for event in process.events():
@@ -391,7 +395,7 @@ os.fsync = full
 def test_a_full_disk_is_told_and_the_training_goes_on_when_there_is_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = train(tmp_path / "whole")
+    whole = train(tmp_path / "whole", model=KEPT)
     folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0", str(tmp_path)))
     (tmp_path / "sitecustomize.py").write_text(FULL_DISK)
     words = f"status 1: {folder}: No space left on device; see that there is room"
