@@ -321,6 +321,29 @@ def test_a_gait_that_only_moves_the_robot_for_a_recording_is_no_rival(
     assert rivals == ["gait:stand", "gait:steps", "balance", "balance"]
 
 
+@pytest.mark.parametrize("then", ["balance", "balance-early", "gait:stand"])
+def test_a_better_policy_takes_over_once_the_gait_of_a_recording_gives_the_robot_back(
+    own_process: None, monkeypatch: pytest.MonkeyPatch, then: str
+) -> None:
+    monkeypatch.setattr(retrain_node_module, "TrainingProcess", lambda: SimpleNamespace(close=lambda: None))
+    node: Any = RetrainNode()
+    handle: Any = SimpleNamespace(is_cancel_requested=False, succeed=lambda: None)
+    asked: list[str] = []
+    node._load = SimpleNamespace(service_is_ready=lambda: True, call_async=lambda request: asked.append(request.policy))
+    rival = find_policy("balance").policy_id
+    for in_use in (rival, "gait:steps"):
+        node._on_policy(String(data=in_use))
+    outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", rival)
+    result = Retrain.Result()
+    node._finish(handle, result, outcome, Job("balance", "balance"))
+    assert result.message == f"better; kept as balance-1: it takes over when gait:steps gives the robot back to {rival}"
+    assert not asked
+    for in_use in (find_policy(then).policy_id, rival):  # whoever chose another policy meanwhile keeps it
+        node._on_policy(String(data=in_use))
+    node.destroy_node()
+    assert asked == ([] if then == "balance-early" else ["balance-1"])
+
+
 @pytest.mark.slow
 def test_retraining_is_cancelled_at_once_and_resumed_and_says_whether_the_result_is_better(
     start_graph: Any, peer: Any, tmp_path: Any

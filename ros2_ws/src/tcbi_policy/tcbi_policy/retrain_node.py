@@ -43,6 +43,14 @@ class RetrainParameters:
     stand_by: bool = parameter(True, "keep a process with all libraries loaded: 0.4 GB, and trainings begin 7 s sooner")
 
 
+@dataclass(frozen=True)
+class _Successor:
+    """A better policy and the id of the one that it takes over from; of nothing by default."""
+
+    of: str = ""
+    reference: str = ""
+
+
 class RetrainNode(Node):
     """One training at a time; the action runs in a thread of the executor."""
 
@@ -53,6 +61,7 @@ class RetrainNode(Node):
         self._busy = self._closing = False
         self._accepting = threading.Lock()  # goals come in several threads
         self._in_use = self._trained = ""  # ids of the policy or gait in use, and of the last one that was no gait
+        self._successor = _Successor()  # what takes over once a gait has given the robot back
         self._state: dict[str, Any] = {"state": "idle"}
         self._waiting: TrainingProcess | None = None
         self._stand_by_from_s = 0.0  # on the steady clock
@@ -72,8 +81,13 @@ class RetrainNode(Node):
 
     def _on_policy(self, message: String) -> None:
         self._in_use = message.data
-        if not message.data.startswith(GAIT_PREFIX):
-            self._trained = message.data
+        if message.data.startswith(GAIT_PREFIX):
+            return
+        self._trained = message.data
+        successor, self._successor = self._successor, _Successor()
+        if message.data == successor.of:
+            self.get_logger().info(f"{message.data} is back in use: {successor.reference} takes over")
+            self._load.call_async(LoadPolicy.Request(policy=successor.reference))
 
     def _on_goal(self, goal: Retrain.Goal) -> GoalResponse:
         with self._accepting:
@@ -185,6 +199,8 @@ class RetrainNode(Node):
             return f"kept as {reference}, not loaded: cancelled after the comparison"
         if not there:
             return f"kept as {reference}: no policy node runs that could take it"
+        if lent_to := self._lent_to(outcome, task):
+            return f"kept as {reference}: it takes over when {lent_to} gives the robot back to {outcome.rival}"
         if why_not := better_than_another(self._in_use, outcome.rival, task, self._store):
             return f"kept as {reference}: {why_not}"
         answer = self._load.call_async(LoadPolicy.Request(policy=reference))
@@ -193,6 +209,17 @@ class RetrainNode(Node):
             return f"kept as {reference}: the policy node did not answer{cancelled}"
         response = answer.result()
         return f"now in use as {response.policy_id}" if response.success else f"kept as {reference}: {response.message}"
+
+    def _lent_to(self, outcome: Outcome, task: str) -> str:
+        """ "", or the gait that moves the robot while the policy that is beaten waits; then the successor takes over."""
+        if better_than_another(outcome.rival, outcome.rival, task, self._store):
+            return ""
+        self._successor = _Successor(outcome.rival, outcome.reference)
+        lent_to = self._in_use  # asked once the successor is known: who is back before is met by the caller
+        if lent_to.startswith(GAIT_PREFIX) and self._trained == outcome.rival:
+            return lent_to
+        self._successor = _Successor()
+        return ""
 
     def _comes(self, handle: ServerGoalHandle, there: Callable[[], bool]) -> bool:
         """Whether something is there in time; who cancels does not wait for it."""
