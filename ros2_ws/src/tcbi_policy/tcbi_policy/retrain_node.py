@@ -211,7 +211,7 @@ class RetrainNode(Node):
         return f"now in use as {response.policy_id}" if response.success else f"kept as {reference}: {response.message}"
 
     def _lent_to(self, outcome: Outcome, task: str) -> str:
-        """ "", or the gait that moves the robot while the policy that is beaten waits; then the successor takes over."""
+        """ "", or the gait that moves the robot until the beaten policy, and then its successor, gets it back."""
         if better_than_another(outcome.rival, outcome.rival, task, self._store):
             return ""
         self._successor = _Successor(outcome.rival, outcome.reference)

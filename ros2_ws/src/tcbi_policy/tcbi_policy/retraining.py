@@ -11,6 +11,7 @@ nor the choice of the best policy has seen; accepted ones are kept in the store 
 effects, its successor meets too, in the training and in the comparison.
 """
 
+import contextlib
 import dataclasses
 import math
 import shutil
@@ -232,14 +233,28 @@ def _listen(process: TrainingProcess, on_event: Callable[[Event], None], cancell
 def publish(folder: Path, root: Path, task: str, name: str = "", comparison: Event | None = None) -> Policy:
     """Keep a run's policy in the store under a name, by default the next free one of its task.
 
-    The card keeps what the policy gained on its rival, if a comparison is given.
+    The card keeps what the policy gained on its rival, if a comparison is given. Without a name, a policy that is there
+    already, because whoever kept it was killed before the run was gone, is not kept twice.
     """
     trained = load_policy(folder / "policy.safetensors")
     training = trained.card.training | ({"comparison": comparison} if comparison else {})
     with locked(root / "policies"):
+        if not name and (kept := _kept(root, task, trained)):
+            return kept
         name = name or next_name(root, task)
         card = dataclasses.replace(trained.card, name=name, training=training)
         return save_policy(root / "policies" / name, trained.mlp, card)
+
+
+def _kept(root: Path, task: str, policy: Policy) -> Policy | None:
+    """The policy of the store with the same weights and a name that `next_name` gave."""
+    for name, path in policy_paths(root).items():
+        if name.startswith(f"{task}-") and name.removeprefix(f"{task}-").isdecimal():
+            with contextlib.suppress(PolicyError):
+                kept = load_policy(path)
+                if kept.card.sha256 == policy.card.sha256:
+                    return kept
+    return None
 
 
 def next_name(root: Path, task: str) -> str:

@@ -259,6 +259,9 @@ def test_two_policies_that_are_kept_at_once_have_a_name_each(tmp_path: Path, mon
     for folder, policy in zip(folders, kept, strict=True):
         own = load_policy(folder / "policy.safetensors").card.sha256
         assert find_policy(policy.card.name, tmp_path).policy_id == f"{policy.card.name}@{own[:8]}"
+        # as after a kill between keeping it and removing its run
+        assert publish(folder, tmp_path, "balance").policy_id == policy.policy_id
+    assert "balance-3" not in policy_paths(tmp_path)
 
 
 @SUBPROCESS

@@ -10,9 +10,7 @@ from tcbi_contract.names import JOINT_LIMIT, JOINTS, SLOPE_LIMIT
 from tcbi_sim.errors import SimError
 from tcbi_sim.measurement import Block, Scenario
 from tcbi_sim.tasks import find_task, tasks
-from tcbi_sim.user_tasks import LONGEST_S
-
-MOST_BLOCKS = 64
+from tcbi_sim.user_tasks import LONGEST_S, MOST_BLOCKS
 
 
 class EpisodeError(SimError):
