@@ -307,41 +307,52 @@ def test_who_cancels_does_not_wait_for_a_policy_node_that_hangs(
     assert "cancelled while it was asked to take it" in result.message
 
 
-def test_a_gait_that_only_moves_the_robot_for_a_recording_is_no_rival(
-    own_process: None, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("answer", "in_use", "rival"),
+    [
+        (LoadPolicy.Response(policy_id="gait:steps", lender="gait:stand"), "gait:steps", "gait:stand"),
+        (LoadPolicy.Response(policy_id="gait:steps"), "gait:steps", "gait:steps"),
+        (None, "gait:squat", "gait:squat"),
+        (None, "", "gait:stand"),
+    ],
+)
+def test_what_a_new_policy_must_beat_is_in_use_or_will_be_after_a_recording(
+    own_process: None, monkeypatch: pytest.MonkeyPatch, answer: Any, in_use: str, rival: str
 ) -> None:
+    """Without a policy node it is what was in use last, or the fallback."""
     monkeypatch.setattr(retrain_node_module, "TrainingProcess", lambda: SimpleNamespace(close=lambda: None))
     node: Any = RetrainNode()
-    rivals = []
-    for in_use in ("", "gait:steps", find_policy("balance").policy_id, "gait:steps"):
-        if in_use:
-            node._on_policy(String(data=in_use))
-        rivals.append(node._job(Retrain.Goal(task="balance")).current)
+    node._on_policy(String(data=in_use))
+    future = SimpleNamespace(done=lambda: True, result=lambda: answer)
+    node._load = SimpleNamespace(service_is_ready=lambda: answer is not None, call_async=lambda _: future)
+    found = node._rival(SimpleNamespace(is_cancel_requested=False))
+    current = node._job(Retrain.Goal(task="balance"), found).current
     node.destroy_node()
-    assert rivals == ["gait:stand", "gait:steps", "balance", "balance"]
+    assert current == rival
 
 
-@pytest.mark.parametrize("then", ["balance", "balance-early", "gait:stand"])
-def test_a_better_policy_takes_over_once_the_gait_of_a_recording_gives_the_robot_back(
-    own_process: None, monkeypatch: pytest.MonkeyPatch, then: str
-) -> None:
-    monkeypatch.setattr(retrain_node_module, "TrainingProcess", lambda: SimpleNamespace(close=lambda: None))
-    node: Any = RetrainNode()
-    handle: Any = SimpleNamespace(is_cancel_requested=False, succeed=lambda: None)
-    asked: list[str] = []
-    node._load = SimpleNamespace(service_is_ready=lambda: True, call_async=lambda request: asked.append(request.policy))
-    rival = find_policy("balance").policy_id
-    for in_use in (rival, "gait:steps"):
-        node._on_policy(String(data=in_use))
-    outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", rival)
-    result = Retrain.Result()
-    node._finish(handle, result, outcome, Job("balance", "balance"))
-    assert result.message == f"better; kept as balance-1: it takes over when gait:steps gives the robot back to {rival}"
-    assert not asked
-    for in_use in (find_policy(then).policy_id, rival):  # whoever chose another policy meanwhile keeps it
-        node._on_policy(String(data=in_use))
-    node.destroy_node()
-    assert asked == ([] if then == "balance-early" else ["balance-1"])
+def test_a_policy_that_lends_the_robot_gets_it_back_or_its_successor_does(start_graph: Any, peer: Any) -> None:
+    start_graph(policy_node(policy="gait:stand"))
+    in_use = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
+
+    def ask(**request: Any) -> tuple[bool, str, str]:
+        answer = peer.call(names.LOAD_POLICY, LoadPolicy.Request(**request), LoadPolicy)
+        return answer.success, answer.policy_id, answer.lender
+
+    early, balance = (find_policy(name).policy_id for name in ("balance-early", "balance"))
+    assert ask(policy="gait:steps", lend=True) == (True, "gait:steps", "gait:stand")
+    assert ask(policy="gait:squat", lend=True) == (True, "gait:squat", "gait:stand"), "who lends stays the same"
+    assert ask(policy="balance", replaces="gait:squat") == (False, "gait:squat", "gait:stand"), "it is not its place"
+    assert ask(policy="balance-early", replaces="gait:stand") == (True, "gait:squat", early)
+    assert ask() == (True, "gait:squat", early)
+    assert ask(policy="balance", replaces="gait:stand") == (False, "gait:squat", early)
+    assert ask(give_back=True) == ask(give_back=True) == (True, early, "")
+    assert ask(policy="balance", replaces=early) == (True, balance, "")
+    assert ask(policy="gait:steps", lend=True) == (True, "gait:steps", balance)
+    assert ask(policy="gait:tripod") == (True, "gait:tripod", ""), "whoever loads a policy ends the loan"
+    assert ask(give_back=True) == (True, "gait:tripod", "")
+    told = ["gait:stand", "gait:steps", "gait:squat", early, balance, "gait:steps", "gait:tripod"]
+    peer.wait_until(lambda: [message.data for message in in_use] == told, "every policy in use")
 
 
 @pytest.mark.slow

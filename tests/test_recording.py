@@ -95,6 +95,22 @@ def test_a_collection_leaves_in_use_what_has_been_put_in_place_of_its_policy_mea
     assert said == ["gait:steps then gait:squat", "gait:squat"], "what acted, whatever was asked for"
 
 
+def test_a_better_policy_waits_for_the_end_of_a_collection_with_a_gait(start_graph, peer, tmp_path):
+    start_graph(*simulation(tmp_path), recorder(tmp_path / "bags"))
+    in_use = peer.collect(names.POLICY_STATUS, String, messages.LATCHED_QOS)
+    peer.wait_until(lambda: bool(in_use), "the policy in use")
+    collection = Collection(peer, task="balance", number=2, policy="gait:steps", duration_s=2.0)
+    peer.wait_until(lambda: in_use[-1].data == "gait:steps", "the loan")
+    better = LoadPolicy.Request(policy="balance", replaces="gait:tripod")
+    answer = peer.call(names.LOAD_POLICY, better, LoadPolicy)
+    assert answer.success and answer.policy_id == "gait:steps"
+    status, result = collection.result()
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    peer.wait_until(lambda: in_use[-1].data == answer.lender, "the better policy")
+    assert [told.data for told in in_use] == ["gait:tripod", "gait:steps", answer.lender]
+    assert {read_measurement(bag).policy_id for bag in result.bags} == {"gait:steps"}
+
+
 def test_a_killed_recorder_loses_at_most_the_last_second(start_graph, peer, tmp_path):
     graph: Graph = start_graph(*simulation(tmp_path, lockstep=False), recorder(tmp_path / "bags", lockstep=False))
     seen = peer.collect(names.JOINT_STATES, JointState, messages.STREAM_QOS)

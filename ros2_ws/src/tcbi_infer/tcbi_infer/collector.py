@@ -95,17 +95,16 @@ class Collector:
         self._services.expect_hands()
         await self._require_one_robot(goal)
         folder = self._folder(request)
-        before, policy_id = self.node.policy_id, ""
         try:
-            policy_id = await self._policy(request)
+            await self._policy(request)
             for index in range(request.number):
                 bag = await self._rollout(goal, request, index, folder)
                 bags.append(bag)
         finally:
             if folder is not self.node.folder:
                 folder.close()
-            if before and policy_id not in ("", before) and self.node.policy_id == policy_id:
-                await self._services.give_back(before)  # unless a training has put a better one in its place meanwhile
+            if request.policy not in ("", NO_POLICY):
+                await self._services.give_back()
 
     def _folder(self, request: Request) -> RecordingFolder:
         own = self.node.folder
@@ -268,15 +267,15 @@ class Collector:
         feedback.rollout_id, feedback.remaining_s = self._rollout_id, remaining_s
         goal.publish_feedback(feedback)
 
-    async def _policy(self, request: Request) -> str:
-        """Load the wanted policy, off for now; returns the name of the one that will act."""
+    async def _policy(self, request: Request) -> None:
+        """Have the wanted policy in use, off for now."""
         if request.policy == NO_POLICY:
-            return ""
+            return
         await self._services.set_policy(False)
         if request.policy:
-            return await self._services.load_policy(request.policy)
-        await Until(lambda: bool(self.node.policy_id), STATUS_S)
-        return self.node.policy_id
+            await self._services.lend_to(request.policy)
+        else:
+            await Until(lambda: bool(self.node.policy_id), STATUS_S)
 
     def _zero(self, stamp: Any) -> int:
         """The rollout's zero (ns): the stamp of the first sample after the reset."""

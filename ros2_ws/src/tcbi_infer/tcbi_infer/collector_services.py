@@ -123,17 +123,17 @@ class Services:
             return placed.stamp
         return self.node.get_clock().now().to_msg()
 
-    async def load_policy(self, policy: str) -> str:
-        """Load a policy; returns the name of the one that will act."""
-        loaded = await self._call(self._load, LoadPolicy.Request(policy=policy), names.LOAD_POLICY, "policy_node")
+    async def lend_to(self, policy: str) -> None:
+        """Lend the robot to a policy until it is given back."""
+        request = LoadPolicy.Request(policy=policy, lend=True)
+        loaded = await self._call(self._load, request, names.LOAD_POLICY, "policy_node")
         await Until(lambda: bool(self.node.policy_id == loaded.policy_id), STATUS_S)
         self.node.policy_id = str(loaded.policy_id)  # its status may have been lost
-        return self.node.policy_id
 
-    async def give_back(self, policy_id: str) -> None:
-        """Load what was in use before, so that a training still starts from it; not being able to is no fault."""
+    async def give_back(self) -> None:
+        """Give the robot back to what was in use before, or its successor; not being able to is no fault."""
         if self._load.service_is_ready():
-            future = self._load.call_async(LoadPolicy.Request(policy=policy_id))
+            future = self._load.call_async(LoadPolicy.Request(give_back=True))
             await Until(future.done, self.node.values.service_timeout_s)
 
     async def set_policy(self, on: bool) -> None:

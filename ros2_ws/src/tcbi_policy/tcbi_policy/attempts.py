@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tcbi_policy.artefact import load_all, policy_paths
+from tcbi_policy.artefact import Policy, load_all, policy_paths
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.retraining import OUTCOME
 
@@ -29,10 +29,23 @@ def next_attempt(root: Path, rival: str, model: str, task: str) -> int:
       TrainingError: a verdict in the store cannot be read.
     """
     asked = {"rival": rival, "model": model, "task": task}
+    return 1 + max((found.get("attempt", 0) for found in _verdicts(root) if asked.items() <= found.items()), default=0)
+
+
+def known_verdict(root: Path, policy: Policy, rival: str, model: str, task: str) -> dict[str, Any] | None:
+    """What was found of these weights against this rival (its id) on a model version and a task, if they were judged.
+
+    Raises:
+      TrainingError: a verdict in the store cannot be read.
+    """
+    asked = {"sha256": policy.card.sha256, "rival": rival, "model": model, "task": task}
+    return next((found for found in _verdicts(root) if asked.items() <= found.items()), None)
+
+
+def _verdicts(root: Path) -> list[dict[str, Any]]:
     kept = [verdict_in(path.parent) for path in (root / "runs").glob(f"*/{OUTCOME}")]
     policies, _ = load_all(policy_paths(root))  # second: the folder of an accepted one goes when its card is there
-    kept += [policy.card.training.get("comparison") or {} for policy in policies.values()]
-    return 1 + max((found.get("attempt", 0) for found in kept if asked.items() <= found.items()), default=0)
+    return kept + [policy.card.training.get("comparison") or {} for policy in policies.values()]
 
 
 def verdict_in(folder: Path) -> dict[str, Any]:

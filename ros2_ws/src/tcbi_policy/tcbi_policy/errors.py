@@ -19,6 +19,10 @@ class PolicyMisfit(PolicyError):
     """A policy's card describes another robot than the one at hand."""
 
 
+class PolicyReplaced(PolicyError):
+    """A policy was to take the place of another that is not in use by now."""
+
+
 class RewardError(PolicyError):
     """A reward was asked for that the data at hand cannot give."""
 

@@ -29,6 +29,7 @@ from tcbi_contract.running import run
 from tcbi_msgs.msg import RolloutEvent
 from tcbi_msgs.srv import LoadPolicy
 from tcbi_policy.artefact import Actor, Policy, find_policy, keep_policy
+from tcbi_policy.errors import PolicyReplaced
 from tcbi_policy.ticker import SensorLoss, Tick, Ticker
 from tcbi_sim.measurement import observation, roll_pitch_yaw
 from tcbi_sim.store import default_root
@@ -55,9 +56,9 @@ class PolicyNode(Node):
         super().__init__("policy_node")
         self.values = declare(self, PolicyParameters)
         self._store = Path(self.values.store).expanduser() if self.values.store else default_root()
-        self._known: dict[str, Actor] = {}  # by id: a collection gives back what it found in use
         self._actor: Actor = self._find(self.values.policy)
         self._actor.reset(1)
+        self._lender: Actor | None = None  # gets the robot back after a recording
         self._ticker = Ticker(bool(self.get_parameter("use_sim_time").value), self.values.sensor_timeout_s)
         self._yaw = 0.0  # rad at the first tick
         self._swapped_at: float | None = None  # s since the first tick
@@ -205,16 +206,39 @@ class PolicyNode(Node):
         return response
 
     async def _on_load(self, request: LoadPolicy.Request, response: LoadPolicy.Response) -> LoadPolicy.Response:
-        """Swap the policy between two ticks; an empty reference only asks for the present one."""
-        if request.policy:
-            try:
-                self._swap(await self._read(request.policy))
-            except TcbiError as error:
-                response.message, response.policy_id = str(error), self._actor.policy_id
-                return response
-        response.success, response.policy_id = True, self._actor.policy_id
-        response.message = f"policy {self._actor.policy_id}"
+        """Swap the policy between two ticks, lend the robot or take it back; an empty request only asks who has it."""
+        try:
+            actor = await self._read(request.policy) if request.policy else None
+            self._hand_over(actor, request)
+            response.success, response.message = True, f"policy {self._actor.policy_id}"
+        except TcbiError as error:
+            response.message = str(error)
+        response.policy_id = self._actor.policy_id
+        response.lender = self._lender.policy_id if self._lender else ""
         return response
+
+    def _hand_over(self, actor: Actor | None, request: LoadPolicy.Request) -> None:
+        """Do what was asked for, with the policy that was read for it.
+
+        Raises:
+          PolicyReplaced: it was to take the place of a policy that has no place by now.
+        """
+        lender = self._lender
+        if request.give_back:
+            self._lender = None
+            if lender:
+                self._swap(lender)
+        elif actor is not None and request.replaces:
+            standing = lender or self._actor
+            if standing.policy_id != request.replaces:
+                raise PolicyReplaced(f"{standing.policy_id} came into use meanwhile, in place of {request.replaces}")
+            if lender:
+                self._lender = actor
+            else:
+                self._swap(actor)
+        elif actor is not None:
+            self._lender = (lender or self._actor) if request.lend else None
+            self._swap(actor)
 
     def _read(self, reference: str) -> Future:
         """Read and check a policy in a thread, so that no tick waits for a disk."""
@@ -233,11 +257,8 @@ class PolicyNode(Node):
         return future
 
     def _find(self, reference: str) -> Actor:
-        """The policy behind a reference, or an id that was in use; one of a file is kept where trainings find it."""
-        if reference in self._known:
-            return self._known[reference]
+        """The policy behind a reference; one of a file is kept where trainings find it."""
         actor = find_policy(reference, self._store)
-        self._known[actor.policy_id] = actor
         if isinstance(actor, Policy):
             try:
                 keep_policy(actor, self._store)

@@ -22,8 +22,7 @@ from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_msgs.action import Retrain
 from tcbi_msgs.srv import LoadPolicy
-from tcbi_policy.artefact import GAIT_PREFIX
-from tcbi_policy.retraining import Event, Job, Outcome, better_than_another, reference_of, retrain
+from tcbi_policy.retraining import Event, Job, Outcome, for_another_task, reference_of, retrain
 from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
@@ -43,14 +42,6 @@ class RetrainParameters:
     stand_by: bool = parameter(True, "keep a process with all libraries loaded: 0.4 GB, and trainings begin 7 s sooner")
 
 
-@dataclass(frozen=True)
-class _Successor:
-    """A better policy and the id of the one that it takes over from; of nothing by default."""
-
-    of: str = ""
-    reference: str = ""
-
-
 class RetrainNode(Node):
     """One training at a time; the action runs in a thread of the executor."""
 
@@ -60,8 +51,7 @@ class RetrainNode(Node):
         self._store = Path(self.values.store).expanduser() if self.values.store else default_root()
         self._busy = self._closing = False
         self._accepting = threading.Lock()  # goals come in several threads
-        self._in_use = self._trained = ""  # ids of the policy or gait in use, and of the last one that was no gait
-        self._successor = _Successor()  # what takes over once a gait has given the robot back
+        self._in_use = ""  # id of the policy or gait
         self._state: dict[str, Any] = {"state": "idle"}
         self._waiting: TrainingProcess | None = None
         self._stand_by_from_s = 0.0  # on the steady clock
@@ -81,13 +71,6 @@ class RetrainNode(Node):
 
     def _on_policy(self, message: String) -> None:
         self._in_use = message.data
-        if message.data.startswith(GAIT_PREFIX):
-            return
-        self._trained = message.data
-        successor, self._successor = self._successor, _Successor()
-        if message.data == successor.of:
-            self.get_logger().info(f"{message.data} is back in use: {successor.reference} takes over")
-            self._load.call_async(LoadPolicy.Request(policy=successor.reference))
 
     def _on_goal(self, goal: Retrain.Goal) -> GoalResponse:
         with self._accepting:
@@ -103,7 +86,7 @@ class RetrainNode(Node):
     def _execute(self, handle: ServerGoalHandle) -> Retrain.Result:
         result = Retrain.Result(return_before=math.nan, return_after=math.nan)
         try:
-            job = self._job(handle.request)
+            job = self._job(handle.request, self._rival(handle))
             self.get_logger().info(f"training for {job.task} on model {job.model}, against {job.current}")
             outcome = retrain(
                 job,
@@ -151,9 +134,17 @@ class RetrainNode(Node):
         if self._waiting is not None:
             self._waiting.close()
 
-    def _job(self, goal: Retrain.Goal) -> Job:
-        # a gait is lent to the robot for a recording; what it will get back is what a new policy must beat
-        rival = self._trained or self._in_use
+    def _rival(self, handle: ServerGoalHandle) -> str:
+        """Id of what a new policy must beat: in use, or back in use after a recording; "" while no policy node runs."""
+        if not self._load.service_is_ready():
+            return self._in_use
+        answer = self._load.call_async(LoadPolicy.Request())
+        if not self._comes(handle, answer.done):
+            return self._in_use
+        response = answer.result()
+        return str(response.lender or response.policy_id)
+
+    def _job(self, goal: Retrain.Goal, rival: str) -> Job:
         current = reference_of(rival, self._store) if rival else self.values.fallback_policy
         return Job(
             task=goal.task, current=current, start=goal.policy, model=goal.model or LATEST, store=self._store,
@@ -189,7 +180,7 @@ class RetrainNode(Node):
         handle.succeed()
 
     def _swap(self, handle: ServerGoalHandle, outcome: Outcome, task: str) -> str:
-        """Ask the policy node to take the policy, unless another is in use by now; what came of it, in words.
+        """Ask the policy node to have it take its rival's place; what came of it, in words.
 
         Who cancels after the comparison has a verdict, but no other policy on the robot.
         """
@@ -199,27 +190,18 @@ class RetrainNode(Node):
             return f"kept as {reference}, not loaded: cancelled after the comparison"
         if not there:
             return f"kept as {reference}: no policy node runs that could take it"
-        if lent_to := self._lent_to(outcome, task):
-            return f"kept as {reference}: it takes over when {lent_to} gives the robot back to {outcome.rival}"
-        if why_not := better_than_another(self._in_use, outcome.rival, task, self._store):
+        if why_not := for_another_task(outcome.rival, task, self._store):
             return f"kept as {reference}: {why_not}"
-        answer = self._load.call_async(LoadPolicy.Request(policy=reference))
+        answer = self._load.call_async(LoadPolicy.Request(policy=reference, replaces=outcome.rival))
         if not self._comes(handle, answer.done):
             cancelled = ", cancelled while it was asked to take it" if handle.is_cancel_requested else ""
             return f"kept as {reference}: the policy node did not answer{cancelled}"
         response = answer.result()
-        return f"now in use as {response.policy_id}" if response.success else f"kept as {reference}: {response.message}"
-
-    def _lent_to(self, outcome: Outcome, task: str) -> str:
-        """ "", or the gait that moves the robot until the beaten policy, and then its successor, gets it back."""
-        if better_than_another(outcome.rival, outcome.rival, task, self._store):
-            return ""
-        self._successor = _Successor(outcome.rival, outcome.reference)
-        lent_to = self._in_use  # asked once the successor is known: who is back before is met by the caller
-        if lent_to.startswith(GAIT_PREFIX) and self._trained == outcome.rival:
-            return lent_to
-        self._successor = _Successor()
-        return ""
+        if not response.success:
+            return f"kept as {reference}: {response.message}"
+        if response.lender:
+            return f"kept as {reference}: it takes over when the recording with {response.policy_id} ends"
+        return f"now in use as {response.policy_id}"
 
     def _comes(self, handle: ServerGoalHandle, there: Callable[[], bool]) -> bool:
         """Whether something is there in time; who cancels does not wait for it."""

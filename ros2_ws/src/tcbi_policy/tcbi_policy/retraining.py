@@ -187,14 +187,15 @@ def retrain(
         return Outcome(False, True, "", "", float("nan"), float("nan"), message)
     before, after = (math.nan if comparison[when] is None else comparison[when] for when in ("before", "after"))
     statement = comparison["statement"]
-    reference, path = "", str(folder / "policy.safetensors")
-    if comparison["better"]:
-        policy = publish(folder, store.root, run.config.task, comparison=comparison)
-        reference, path = policy.card.name, str(policy.path)
+    reference, path = "", folder / "policy.safetensors"
+    kept = publish(folder, store.root, run.config.task, comparison=comparison) if comparison["better"] else None
+    if kept is not None and kept.path is not None:
+        reference, path = kept.path.stem, kept.path
+    if kept is not None and kept.card.training.get("comparison") == comparison:
         shutil.rmtree(folder, ignore_errors=True)
-    else:
-        (folder / "checkpoint.safetensors").unlink(missing_ok=True)  # the same request later starts afresh
-    return Outcome(comparison["better"], False, reference, path, before, after, statement, comparison["rival"])
+    else:  # the verdict is counted where it lies; the same request later starts afresh
+        (folder / "checkpoint.safetensors").unlink(missing_ok=True)
+    return Outcome(comparison["better"], False, reference, str(path), before, after, statement, comparison["rival"])
 
 
 def _follow(
@@ -234,7 +235,7 @@ def publish(folder: Path, root: Path, task: str, name: str = "", comparison: Eve
     """Keep a run's policy in the store under a name, by default the next free one of its task.
 
     The card keeps what the policy gained on its rival, if a comparison is given. Without a name, a policy that is there
-    already, because whoever kept it was killed before the run was gone, is not kept twice.
+    already is not kept twice: whoever kept it was killed before the run was gone, or compared it with another rival.
     """
     trained = load_policy(folder / "policy.safetensors")
     training = trained.card.training | ({"comparison": comparison} if comparison else {})
@@ -263,25 +264,20 @@ def next_name(root: Path, task: str) -> str:
     return next(name for name in (f"{task}-{n}" for n in range(1, len(taken) + 2)) if name not in taken)
 
 
-def better_than_another(in_use: str, rival: str, task: str, root: Path) -> str:
-    """ "", or why a successor must not replace the policy in use: it was compared with another, or for another task.
+def for_another_task(rival: str, task: str, root: Path) -> str:
+    """ "", or why a successor must not take its rival's place: that is for another task, or it is not known for which.
 
     Args:
-      in_use: id of the policy or gait in use; empty while no policy node runs.
       rival: id of the policy or gait that the successor was compared with.
       task: of the successor.
       root: of the store.
     """
-    if not in_use:
-        return ""
-    if in_use != rival:
-        return f"{in_use} came into use meanwhile, with which it was not compared"
     try:
-        policy = find_policy(reference_of(in_use, root), root)
+        policy = find_policy(reference_of(rival, root), root)
     except PolicyError as error:
-        return f"{in_use} is in use, and for which task is not known: {error}"
+        return f"for which task {rival} is, is not known: {error}"
     if isinstance(policy, Policy) and policy.card.task != task:
-        return f"{in_use} is in use, a policy for {policy.card.task}"
+        return f"{rival} is a policy for {policy.card.task}"
     return ""
 
 

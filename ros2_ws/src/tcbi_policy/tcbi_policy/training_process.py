@@ -20,7 +20,7 @@ import torch
 
 from tcbi_contract.errors import TcbiError
 from tcbi_policy.artefact import Actor, Policy, find_policy, locked, replace_file, strict_json
-from tcbi_policy.attempts import confidence, next_attempt, verdict_in
+from tcbi_policy.attempts import confidence, known_verdict, next_attempt, verdict_in
 from tcbi_policy.configuration import HIGHEST_SEED
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import Comparison, Evaluation, compare_paired, draw_conditions, evaluate, noisy
@@ -65,11 +65,12 @@ def _train_run(folder: Path, run: Run, report: Report) -> None:
     if unseen is model:
         note = ", whose scenarios are new; too few particles bear weight to keep some from the training"
     with locked(store.root / "runs"):  # one is judged at a time, so that no two are the same attempt
-        verdict = verdict_in(folder)
-        if verdict.get("policy_id") != policy.policy_id:  # the same weights are not given a second chance
-            attempt = next_attempt(store.root, rival.policy_id, run.model, run.config.task)
+        which = (rival.policy_id, run.model, run.config.task)
+        verdict = known_verdict(store.root, policy, *which)  # the same weights are not given a second chance
+        if verdict is None:
+            attempt = next_attempt(store.root, *which)
             report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
-            counted = {key: verdict[key] for key in ("attempt",) if key in verdict}  # one made here before
+            counted = {key: value for key, value in verdict_in(folder).items() if key == "attempt"}  # made here before
             verdict = counted | judge(rival, policy, unseen, run, attempt, note)
             replace_file(folder / OUTCOME, strict_json(verdict).encode())
     report(verdict)
@@ -89,7 +90,7 @@ def judge(rival: Actor, policy: Policy, model: Model, run: Run, attempt: int, no
         statement = f"{comparison.statement()}, attempt {attempt} against {rival.policy_id} on {run.model}"
         statement += (f", both with {also}" if also else "") + note
     facts = {"better": comparison.better, "statement": statement, **dataclasses.asdict(comparison)}
-    return {"event": "comparison", "policy_id": policy.policy_id, **which, **facts}
+    return {"event": "comparison", "policy_id": policy.policy_id, "sha256": policy.card.sha256, **which, **facts}
 
 
 def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run, attempt: int = 1) -> Comparison:

@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 from retraining_cases import job, robust, tiny
 
-from tcbi_policy import attempts, training_process
-from tcbi_policy.artefact import Policy, find_policy
+from tcbi_policy import attempts, retraining, training_process
+from tcbi_policy.artefact import Policy, find_policy, save_policy
 from tcbi_policy.attempts import FALSE_ALARMS, confidence, next_attempt, verdict_in
 from tcbi_policy.errors import TrainingError
+from tcbi_policy.evaluation import Comparison
 from tcbi_policy.gaits import Gait
 from tcbi_policy.retraining import OUTCOME, plan
 from tcbi_policy.runs import write_run
@@ -142,3 +143,32 @@ def test_another_network_is_another_attempt_and_the_same_one_has_its_verdict_alr
     assert looks == [1, 2]
     assert [found["attempt"] for found in verdicts] == [1, 1, 2]
     assert json.loads((folder / OUTCOME).read_text()) == json.loads(json.dumps(verdicts[-1]))
+
+
+def test_weights_that_were_accepted_have_their_verdict_when_they_are_trained_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder of their run is gone by then. Against another rival they are judged, and kept once all the same."""
+    shipped = find_policy("balance")
+    assert isinstance(shipped, Policy)
+    looks: list[int] = []
+
+    def better(*args: Any) -> Comparison:
+        looks.append(args[-1])
+        return Comparison(1.0, 1.0, 2, 2, 2, 0, 0, 0.975, 1.0, 2.0)
+
+    def trained(folder: Path, *_: Any) -> dict[str, Any]:
+        told: list[dict[str, Any]] = []
+        save_policy(folder / "policy", shipped.mlp, shipped.card)
+        train_run(folder, told.append)
+        return dict(json.loads(json.dumps(told[-1])))
+
+    monkeypatch.setattr(Training, "run", lambda _: shipped)
+    monkeypatch.setattr(training_process, "compare_held_out", better)
+    monkeypatch.setattr(retraining, "_follow", trained)
+    rivals = ("stand", "stand", "squat")
+    outcomes = [retraining.retrain(job(tmp_path, current=f"gait:{rival}"), print) for rival in rivals]
+    assert [outcome.reference for outcome in outcomes] == ["balance-1"] * 3
+    assert outcomes[0] == outcomes[1] and looks == [1, 1]
+    model = ModelStore(tmp_path).load("latest").version
+    assert [next_attempt(tmp_path, f"gait:{gait}", model, "balance") for gait in ("stand", "squat")] == [2, 2]

@@ -24,7 +24,7 @@ from tcbi_policy.errors import PolicyMisfit, PolicyNotFound, TrainingError
 from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import divided, randomised
-from tcbi_policy.retraining import OUTCOME, better_than_another, next_name, plan, publish, reference_of, retrain
+from tcbi_policy.retraining import OUTCOME, for_another_task, next_name, plan, publish, reference_of, retrain
 from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_policy.training import Training
 from tcbi_policy.training_process import ACCEPTANCE_SEED, compare_held_out, train_run
@@ -344,21 +344,12 @@ def test_a_policy_id_stands_for_a_name_only_as_long_as_the_name_holds_it(tmp_pat
         reference_of("balance@00000000", tmp_path)
 
 
-def test_a_result_replaces_only_the_policy_that_it_was_compared_with(tmp_path: Path) -> None:
-    balance, early, forward = (find_policy(name).policy_id for name in ("balance", "balance-early", "forward"))
-    for in_use in ("", early):
-        assert better_than_another(in_use, early, "balance", tmp_path) == ""
-    for in_use in (balance, "balance@00000000", "gait:stand"):
-        assert "came into use meanwhile" in better_than_another(in_use, early, "balance", tmp_path)
-    said = better_than_another(forward, forward, "balance", tmp_path)
-    assert said == f"{forward} is in use, a policy for forward"
-    gone = "balance@00000000"
-    assert "not known" in better_than_another(gone, gone, "balance", tmp_path)
-
-
-def test_a_gait_is_replaced_by_what_was_compared_with_it_and_by_nothing_else(tmp_path: Path) -> None:
-    assert better_than_another("gait:stand", "gait:stand", "balance", tmp_path) == ""
-    assert "came into use meanwhile" in better_than_another("gait:stand", "gait:dither", "balance", tmp_path)
+def test_a_result_takes_the_place_of_a_rival_for_its_own_task_alone(tmp_path: Path) -> None:
+    balance, forward = (find_policy(name).policy_id for name in ("balance", "forward"))
+    for rival in (balance, "gait:stand"):
+        assert for_another_task(rival, "balance", tmp_path) == ""
+    assert for_another_task(forward, "balance", tmp_path) == f"{forward} is a policy for forward"
+    assert "not known" in for_another_task("balance@00000000", "balance", tmp_path)
 
 
 def test_a_policy_of_a_file_is_kept_in_the_store_once_and_found_by_its_id(tmp_path: Path) -> None:
