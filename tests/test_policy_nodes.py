@@ -298,7 +298,7 @@ def test_who_cancels_does_not_wait_for_a_policy_node_that_hangs(
 
     node._load = SimpleNamespace(service_is_ready=lambda: True, call_async=hangs)
     result = Retrain.Result()
-    outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", "")
+    outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", "gait:stand")
     began = time.monotonic()
     node._finish(handle, result, outcome, Job("balance", "gait:stand"))
     took = time.monotonic() - began
