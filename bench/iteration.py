@@ -38,13 +38,14 @@ RIVALS = ("abc_smc", "simopt")
 STEP_S = LONGEST_STEP
 
 
-def problem(task: str, rollouts: int, duration: float) -> Problem:
-    """An inference from rollouts of the task's own scenarios, in closed loop of its policy."""
+def problems(task: str, rollouts: int, duration: float) -> dict[str, Problem]:
+    """Of each method, with its own statistics, from rollouts of the task's scenarios in closed loop of its policy."""
     model, actor, rng = base_model("hexapod"), find_policy(task), np.random.default_rng(0)
     scenarios = [dataclasses.replace(find_task(task).draw(rng, k), duration=duration) for k in range(rollouts)]
     out = simulate(model, model.mean()[None], scenarios, controller=actor, timestep=STEP_S)
     measured = [out.measurement(0, s, f"rollout_{s}", actor.policy_id) for s in range(rollouts)]
-    return Problem.of(model, measured, timestep=STEP_S)
+    statistics = {name: find_method(name).statistics for name in METHODS}
+    return {name: Problem.of(model, measured, statistics=s, timestep=STEP_S) for name, s in statistics.items()}
 
 
 def iterating(of: Problem, name: str, particles: int) -> Callable[[], None]:
@@ -64,8 +65,7 @@ def iterating(of: Problem, name: str, particles: int) -> Callable[[], None]:
 
 def figures(task: str, rollouts: int, duration: float, iterations: int) -> list[dict[str, Any]]:
     """Of one task: each method's seconds, and the rivals' over TCBI's."""
-    of = problem(task, rollouts, duration)
-    works = {name: iterating(of, name, PARTICLES) for name in METHODS}
+    works = {name: iterating(of, name, PARTICLES) for name, of in problems(task, rollouts, duration).items()}
     whole: dict[str, list[float]] = {name: [] for name in METHODS}
     rest: dict[str, list[float]] = {name: [] for name in METHODS}
     for k in range(iterations):

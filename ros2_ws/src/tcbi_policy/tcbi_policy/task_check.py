@@ -12,7 +12,7 @@ import numpy as np
 from tcbi_contract.names import JOINT_LIMIT, JOINTS, SLOPE_LIMIT
 from tcbi_policy.environment import TIMESTEP_S
 from tcbi_policy.gaits import Gait
-from tcbi_policy.reward import TRIAL_STEPS, Steps, simulated_rewards
+from tcbi_policy.reward import DISTANCE, TRIAL_STEPS, Steps, distance_term, simulated_rewards
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import base_model
@@ -54,7 +54,10 @@ def _term_faults(task: Task) -> list[str]:
         ]
         if not math.isfinite(term.weight) or term.weight == 0:
             faults.append(f"term {term.name!r}: weight is {term.weight}, allowed are finite numbers but 0")
-    return faults
+        if term.name == DISTANCE and term.measure is not distance_term(1.0).measure:  # known from a rollout's end, in m
+            faults.append(f"term {term.name!r} has the name of distance_term, but another measure; give another name")
+    twice = sorted({t.name for t in task.reward if [s.name for s in task.reward].count(t.name) > 1})
+    return faults + [f"term {name!r} is there twice; allowed is once" for name in twice]
 
 
 def _draw_faults(task: Task) -> list[str]:

@@ -68,6 +68,8 @@ def test_the_check_finds_nothing_wrong_with_a_good_one(folder: Path) -> None:
         ('Scenario("turn"', 'Scenario("spin"', "task 'spin'"),
         ("rng.uniform(-3, 3)", "np.random.uniform(-3, 3)", "same generator"),
         ('"rad", "yaw', '"", "yaw', "no unit"),
+        ('Term("turn", 5000.0', 'Term("distance", 5000.0', "give another name"),
+        ('Term("turn", 5000.0', 'Term("action", 5000.0', "term 'action' is there twice"),
         ('Term("turn", 5000.0', 'Term("turn", "5000"', "reward[0].weight is '5000', allowed is a number"),
         ("action_term(-600.0))", '("action", -600.0))', "reward[1] is a tuple"),
         ("return np.diff", "return 1 / 0 * np.diff", "ZeroDivisionError"),

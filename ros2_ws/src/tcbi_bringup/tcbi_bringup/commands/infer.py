@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--statistics",
-        help="comma-separated, instead of the method's own (`reward` is the paper's ablation); +NAME adds to them",
+        help="commas; instead of the method's own (`--method paper` with `reward` is the ablation); +NAME adds to them",
     )
     parser.add_argument(
         "--divergence", default="js", help="of TCBI: js (default), js_nearest, wasserstein, mmd, or one of your own"
