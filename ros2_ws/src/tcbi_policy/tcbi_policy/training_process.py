@@ -90,7 +90,7 @@ def judge(rival: Actor, policy: Policy, model: Model, run: Run, attempt: int, no
         statement = f"{comparison.statement()}, attempt {attempt} against {rival.policy_id} on {run.model}"
         statement += (f", both with {also}" if also else "") + note
     facts = {"better": comparison.better, "statement": statement, **dataclasses.asdict(comparison)}
-    return {"event": "comparison", "policy_id": policy.policy_id, "sha256": policy.card.sha256, **which, **facts}
+    return {"event": "comparison", "sha256": policy.card.sha256, **which, **facts}
 
 
 def compare_held_out(rival: Actor, policy: Policy, model: Model, run: Run, attempt: int = 1) -> Comparison:

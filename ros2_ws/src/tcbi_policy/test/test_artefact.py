@@ -13,10 +13,12 @@ import pytest
 import safetensors.numpy
 import torch
 
-from tcbi_policy.artefact import Card, find_policy, load_policy, policy_paths, save_policy
+from tcbi_policy.artefact import Card, Policy, find_policy, load_policy, policy_paths, save_policy
+from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import PolicyDamaged, PolicyError, PolicyMisfit, PolicyNotFound
 from tcbi_policy.layout import HEXAPOD, Layout, robot_layout
 from tcbi_policy.mlp import Mlp
+from tcbi_sim.model import base_model
 
 
 def network(seed: int = 0, sizes: tuple[int, ...] = (21, 256, 256, 18)) -> Mlp:
@@ -33,8 +35,8 @@ def saved(folder: Path, **changes: object) -> Path:
     return path
 
 
-def test_numpy_equals_torch_to_a_millionth(tmp_path: Path) -> None:
-    mlp = load_policy(saved(tmp_path)).mlp
+def torch_targets(mlp: Mlp, observation: np.ndarray) -> np.ndarray:
+    """What the same network gives in torch, in single precision."""
     layers: list[torch.nn.Module] = []
     for w, b in zip(mlp.weights, mlp.biases, strict=True):
         linear = torch.nn.Linear(w.shape[1], w.shape[0])
@@ -42,11 +44,27 @@ def test_numpy_equals_torch_to_a_millionth(tmp_path: Path) -> None:
             linear.weight.copy_(torch.as_tensor(w))
             linear.bias.copy_(torch.as_tensor(b))
         layers += [linear, torch.nn.Tanh()]
-    observation = np.random.default_rng(1).normal(0, 0.3, (100, 21))
     scaled = torch.as_tensor((observation * mlp.observation_scale).astype(np.float32))
     with torch.no_grad():
-        expected = mlp.limit * torch.nn.Sequential(*layers)(scaled).numpy()
-    np.testing.assert_allclose(mlp(observation), expected, atol=1e-6)
+        return np.asarray(mlp.limit * torch.nn.Sequential(*layers)(scaled).numpy())
+
+
+def test_numpy_equals_torch_to_a_millionth(tmp_path: Path) -> None:
+    mlp = load_policy(saved(tmp_path)).mlp
+    observation = np.random.default_rng(1).normal(0, 0.3, (100, 21))
+    np.testing.assert_allclose(mlp(observation), torch_targets(mlp, observation), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["balance-early", "balance", "forward-early", "forward"])
+def test_numpy_equals_torch_on_what_a_shipped_policy_meets(name: str) -> None:
+    policy = find_policy(name)
+    assert isinstance(policy, Policy)
+    environment = HexapodVectorEnv(base_model("hexapod"), policy.card.task, 16, 5)
+    observation, _ = environment.reset()
+    for _ in range(25):
+        target = policy.act(0.0, observation)
+        np.testing.assert_allclose(target, torch_targets(policy.mlp, observation), rtol=0, atol=1e-6)
+        observation, *_ = environment.step(target / environment.limit)
 
 
 def test_targets_stay_within_the_joint_range() -> None:

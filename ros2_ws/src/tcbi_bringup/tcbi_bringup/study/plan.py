@@ -116,10 +116,10 @@ PRESETS = {"hour": HOUR, "full": FULL}
 
 # s of a piece, by stage and task, in the preset `hour` on two cores: for the estimate of the time left alone
 COSTS = {
-    "balance": {"collect": 5.0, "deploy": 9.0, "infer": 42.0, "train": 30.0, "noise": 17.0},
-    "forward": {"collect": 16.0, "deploy": 31.0, "infer": 65.0, "train": 32.0, "noise": 13.0},
+    "balance": {"collect": 5.0, "deploy": 7.0, "infer": 21.0, "train": 24.0, "noise": 11.0},
+    "forward": {"collect": 15.0, "deploy": 31.0, "infer": 66.0, "train": 31.0, "noise": 13.0},
 }
-DIAGNOSIS_COST, NO_INFERENCE_COST = 25.0, 2.0
+DIAGNOSIS_COST, NO_INFERENCE_COST = 21.0, 2.0
 
 
 def cost(piece: Key) -> float:

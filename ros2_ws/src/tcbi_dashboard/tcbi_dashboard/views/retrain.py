@@ -11,8 +11,8 @@ from tcbi_dashboard.elements import all_right, card, chart, number_field, soft, 
 from tcbi_dashboard.live import Live
 from tcbi_dashboard.retrainings import KEPT, Retraining
 from tcbi_dashboard.session import Session
+from tcbi_sim.tasks import tasks
 
-TASKS = ["balance", "forward"]
 BUDGET_S = 120.0
 SHOWN = 20  # earlier retrainings
 
@@ -35,7 +35,8 @@ class RetrainCard:
                 "for again with the same code."
             )
             with ui.element("div").classes("tcbi-row"):
-                self.task = ui.select(TASKS, value=TASKS[0], label="task", on_change=self._policies)
+                known = list(tasks())
+                self.task = ui.select(known, value=known[0], label="task", on_change=self._policies)
                 self.policy = ui.select([], label="to beat")
                 for element in (self.task, self.policy):
                     element.props("outlined dense options-dense stack-label")
