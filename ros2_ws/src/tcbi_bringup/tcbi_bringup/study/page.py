@@ -211,7 +211,7 @@ def _p(row: dict[str, Any], key: str) -> str:
 def generations(rows: tables.Rows, key: str, axis: str) -> str:
     """One parameter's error or variance over the generations of each method: a band over robots, or each of a few."""
     with matplotlib.rc_context(STYLE):
-        figure, axes = canvas(2.6)
+        figure, axes = canvas(3.4)
         axes.axhline(0, color=INK, lw=0.6)
         longest = max((r["generation"] for r in rows), default=1)
         for name, color in zip(dict.fromkeys(r["name"] for r in rows), COLORS, strict=False):
@@ -227,7 +227,7 @@ def generations(rows: tables.Rows, key: str, axis: str) -> str:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("generation")
         axes.set_ylabel(axis)
-        axes.legend(fontsize=6)
+        figure.legend(fontsize=6, ncols=3, loc="outside lower center")  # the lines cross everywhere
         return to_svg(figure)
 
 
