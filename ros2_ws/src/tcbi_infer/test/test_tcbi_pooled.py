@@ -1,5 +1,7 @@
 """Divergences of samples on histograms: near those of the samples, with a noise floor of their own, and calibrated."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from tcbi_cases import normal_problem
@@ -7,7 +9,7 @@ from tcbi_cases import normal_problem
 from tcbi_infer.divergence import Binning, divergence
 from tcbi_infer.tcbi import calibrated
 from tcbi_infer.tcbi.calibration import floors
-from tcbi_infer.tcbi.features import Observed, binned, divergences
+from tcbi_infer.tcbi.features import Features, Observed, binned, divergences
 from tcbi_infer.tcbi.pooled import POINTS, JensenShannon, pooled_divergence, stand_ins
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised, quantiles
 
@@ -116,6 +118,41 @@ def test_the_posterior_covers_the_truth_with_any_divergence(name: str) -> None:
         ratios.append(np.sqrt(mean_and_variance(unit, weights)[1][0]) / exact)
     assert hits >= 4
     assert 0.7 < np.median(ratios) < 4.0
+
+
+def beside_a_still_one(one: Observed, simulate: Callable[[np.ndarray], Features], name: str, rng: np.random.Generator):
+    """The same problem with a channel that never changes, of which simulations differ in a sample of 800 by chance."""
+    still, binnings = np.zeros((20, 40)), [Binning.of(np.linspace(-1, 2, 800)), Binning.of(np.zeros(1))]
+    counts = np.stack([one.counts[:, 0], binnings[1].counts(still)], axis=1)
+    both = Observed(counts, np.arange(2), ("x", "y"), ("x/x", "y/y"), pooled_divergence(name, binnings, counts))
+
+    def joined(unit: np.ndarray) -> Features:
+        features = simulate(unit)
+        changed = binnings[1].counts((rng.random((len(unit), *still.shape)) < 1 / 800).astype(float))
+        found = np.stack([features.counts[:, :, 0], changed], axis=2)
+        return features._replace(counts=found, divergence=divergences(both, found))
+
+    return both, joined
+
+
+@pytest.mark.parametrize("name", ["js", *OTHERS])
+def test_a_channel_that_never_changes_on_the_robot_leaves_the_others_their_say(name: str) -> None:
+    """Without a floor of its own the posterior was 2 (mmd) to 3 times (wasserstein) as wide; now it is 1.0 to 1.3."""
+
+    def width(observed: Observed, simulate: Callable[[np.ndarray], Features]) -> float:
+        settings, state = calibrated.CalibratedSettings(particles=40, generations=3), calibrated.init(1)
+        while not calibrated.finished(state, settings):
+            state, info = calibrated.step(np.random.default_rng(state.generation), state, simulate, observed, settings)
+            assert np.all(info.floor_noise > 0)
+        unit, log_weights = calibrated.posterior(state)
+        return float(np.sqrt(mean_and_variance(unit, normalised(log_weights))[1][0]))
+
+    ratios = []
+    for seed in range(1 if name == "js_nearest" else 4):
+        one, simulate, _ = normal_problem(0.5, seed, divergence=name)
+        beside = beside_a_still_one(one, simulate, name, np.random.default_rng(seed))
+        ratios.append(width(*beside) / width(one, simulate))
+    assert np.mean(ratios) < 1.6
 
 
 def test_a_simulation_whose_divergence_is_not_finite_weighs_nothing() -> None:

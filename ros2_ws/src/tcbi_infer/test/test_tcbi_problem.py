@@ -13,6 +13,7 @@ import xarray as xr
 from tcbi_cases import BENCH_TRUTH, bench_rollouts
 
 from tcbi_infer import posterior, statistics
+from tcbi_infer.divergence import DIVERGENCES
 from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.statistics import Statistic
 from tcbi_infer.tcbi import checkpoint, driver
@@ -243,14 +244,16 @@ def test_every_divergence_ranks_the_truth_before_a_wrong_gain(bench) -> None:
         assert right < wrong
 
 
-def test_a_statistic_that_is_the_same_in_every_sample_is_named(bench, monkeypatch) -> None:
+@pytest.mark.parametrize("divergence", sorted(DIVERGENCES))
+def test_a_statistic_that_is_the_same_in_every_sample_is_named(divergence: str, bench, monkeypatch) -> None:
     frozen = Statistic("frozen", "1", "a dead sensor", (), lambda a: ("x",), lambda a: np.full((*a.count, 1, 9), 3.0))
     known = {**statistics.library(), "frozen": frozen}
     monkeypatch.setattr(statistics, "library", lambda: known)
-    problem = Problem.of(*bench, statistics=("joint_tracking", "frozen"), timestep=0.01)
+    problem = Problem.of(*bench, statistics=("joint_tracking", "frozen"), divergence_name=divergence, timestep=0.01)
     assert "the same in every sample, so it tells little: frozen/x (3)" in problem.warnings
     result = infer(problem, seed=0, particles=20, generations=2)
     assert np.isfinite(result.unit).all() and result.ess > 1
+    assert np.isfinite(list(result.generations[-1]["misfit"].values())).all()
 
 
 @pytest.mark.parametrize("method", sorted(set(METHODS) - {"prior", "bayesopt", "npe"}))

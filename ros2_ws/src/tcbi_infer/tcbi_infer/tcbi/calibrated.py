@@ -144,14 +144,15 @@ def _weigh(
     alpha = temper(energy, log_base, supported, settings.least_ess * settings.particles)
     log_weights = np.where(features.valid, log_base - alpha * np.where(features.valid, energy, 0.0), -np.inf)
     weights = normalised(log_weights)
+    noise = observed.by_statistic(floors.noise)
     info = CalibratedInfo(
         divergence=weights @ observed.by_statistic(features.divergence),
         ess=effective_sample_size(weights),
         alpha=alpha,
         alpha_supported=supported,
-        floor_noise=observed.by_statistic(floors.noise),
+        floor_noise=noise,
         floor_misfit=observed.by_statistic(floors.misfit),
-        misfit=floors.misfit / np.maximum(floors.noise, observed.by_statistic(floors.noise)[observed.statistic]),
+        misfit=floors.misfit / np.maximum(np.maximum(floors.noise, noise[observed.statistic]), calibration.LEAST),
         best=from_probit(z[np.argsort(energy, kind="stable")[: calibration.BEST]]),
     )
     converged = before.generation >= 2 and alpha >= 0.99 * supported and _steady(before, z, weights)

@@ -22,6 +22,7 @@ from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 
 LARGEST_ALPHA = 0.5
 RESAMPLES = 40
+LEAST = 1e-9  # divergence of a floor
 BEST = 5  # particles that show what divergence remains
 
 
@@ -35,7 +36,7 @@ class Floors(NamedTuple):
     @property
     def total(self) -> np.ndarray:
         """(C,) what divergences are divided by, positive."""
-        return np.maximum(self.noise / self.freedom + np.maximum(self.misfit - self.noise, 0.0), 1e-9)
+        return np.maximum(self.noise / self.freedom + np.maximum(self.misfit - self.noise, 0.0), LEAST)
 
 
 def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usable: np.ndarray) -> Floors:
@@ -48,7 +49,7 @@ def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usabl
       usable: (M,) bool, particles that did not diverge.
     """
     candidates = np.flatnonzero(usable)
-    scale = np.maximum(np.median(divergence[candidates], axis=0), 1e-9)
+    scale = np.maximum(np.median(divergence[candidates], axis=0), LEAST)
     found = Floors(np.zeros_like(scale), np.ones_like(scale), scale)
     for _ in range(3):
         energy = observed.by_statistic(divergence[candidates] / found.total).sum(axis=-1)

@@ -8,8 +8,8 @@
 samples: each histogram stands for `POINTS` samples, evenly spaced in its cumulative distribution.
 """
 
+import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ from tcbi_infer.divergence import Binning, js_binned, measured, normalised
 
 JS = "js"
 POINTS = 60  # samples that a histogram stands for
-FLIPS = 32  # draws of the residuals' signs
+DRAWS = 32  # of the residuals' signs, and of independent samples
 
 
 class PooledDivergence(Protocol):
@@ -54,34 +54,62 @@ class JensenShannon:
         return np.maximum(expected, least), freedom
 
 
-class Wasserstein:
-    """First Wasserstein distance in shares of the real data's range, a tail being one bin beyond it."""
+class _Signed:
+    """A divergence whose noise floor has no closed form: it is the mean over residuals with random signs."""
 
     particles = 300
+
+    def __init__(self, counts: np.ndarray):
+        """Of the real rollouts' (U, C, B) counts."""
+        self._pooled = counts.sum(axis=0)
+
+    def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+        """(..., C, B) and (M, ..., C, B) counts -> (M, ..., C)."""
+        raise NotImplementedError
+
+    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Expected (C,), no less than of independent samples, and its degrees of freedom (C,) by its variance."""
+        middle, moved = _residuals(real, simulated)
+        signs = np.random.default_rng(0).choice([-0.5, 0.5], (DRAWS, len(moved)))
+        apart = np.tensordot(signs, moved, axes=1)
+        drawn = self(np.maximum(middle + apart, 0.0), np.maximum(middle - apart, 0.0)[None])[0]
+        mean, variance = drawn.mean(axis=0), drawn.var(axis=0, ddof=1)
+        freedom = 2 * mean**2 / np.where(variance > 0, variance, np.inf)
+        return np.maximum(mean, self._least), np.clip(freedom, 1.0, effective_bins(real))
+
+    @functools.cached_property
+    def _least(self) -> np.ndarray:
+        """Mean (C,) of the divergence of as many independent samples from what they are drawn from.
+
+        That is the real histogram and one more sample, spread over all bins: a channel that never changes might have.
+        """
+        count = self._pooled.sum(axis=-1).astype(int)
+        wider = normalised(self._pooled.astype(float) + 1 / self._pooled.shape[-1])
+        drawn = np.random.default_rng(0).multinomial(count, wider, (DRAWS, len(count)))
+        return self(wider, drawn).mean(axis=0)
+
+
+class Wasserstein(_Signed):
+    """First Wasserstein distance in shares of the real data's range, a tail being one bin beyond it."""
 
     def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
         """(..., C, B) and (M, ..., C, B) counts -> (M, ..., C); 0 where the robot has no sample: it tells nothing."""
         apart = _difference(real, simulated)
         return np.abs(np.cumsum(apart, axis=-1)).sum(axis=-1) / (apart.shape[-1] - 2)
 
-    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Expected (C,) and its degrees of freedom (C,), over residuals with random signs."""
-        return _signed(self, real, simulated)
 
-
-class MaximumMeanDiscrepancy:
+class MaximumMeanDiscrepancy(_Signed):
     """Squared maximum mean discrepancy under a Gaussian kernel, between 0 and 2.
 
     The kernel is as wide as the median distance between the real samples, and at least one bin.
     """
 
-    particles = 300
-
     def __init__(self, counts: np.ndarray):
         """Take the kernels' widths from the real rollouts' (U, C, B) counts."""
+        super().__init__(counts)
         bins = np.arange(counts.shape[-1])
         between = np.abs(bins[:, None] - bins)
-        shares = normalised(counts.sum(axis=0))
+        shares = normalised(self._pooled)
         pairs = shares[:, :, None] * shares[:, None, :]
         within = np.stack([(pairs * (between <= d)).sum(axis=(1, 2)) for d in bins], axis=-1)
         width = np.maximum((within < 0.5 * pairs.sum(axis=(1, 2))[:, None]).sum(axis=-1), 1)
@@ -95,18 +123,16 @@ class MaximumMeanDiscrepancy:
         )
         return np.maximum(found, 0.0)
 
-    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Expected (C,) and its degrees of freedom (C,), over residuals with random signs."""
-        return _signed(self, real, simulated)
 
-
-@dataclass(frozen=True)
-class OfSamples:
+class OfSamples(_Signed):
     """A divergence of samples, on histograms."""
 
-    name: str
-    binnings: tuple[Binning, ...]  # C
-    particles: int = 60
+    particles = 60
+
+    def __init__(self, name: str, binnings: Sequence[Binning], counts: np.ndarray):
+        """By name; C bins, and the real rollouts' (U, C, B) counts in them."""
+        super().__init__(counts)
+        self._name, self._binnings = name, tuple(binnings)
 
     def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
         """(..., C, B) and (M, ..., C, B) counts -> (M, ..., C); 0 where the robot has no sample: it tells nothing."""
@@ -115,13 +141,9 @@ class OfSamples:
         others = simulated.reshape(count, -1, channels, bins)
         found = np.zeros((count, len(rows), channels))
         for r, c in np.argwhere(rows.sum(axis=-1) > 0):
-            binning = self.binnings[c]
-            found[:, r, c] = measured(self.name, stand_ins(rows[r, c], binning), stand_ins(others[:, r, c], binning))
+            binning = self._binnings[c]
+            found[:, r, c] = measured(self._name, stand_ins(rows[r, c], binning), stand_ins(others[:, r, c], binning))
         return found.reshape(count, *lead, channels)
-
-    def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Expected (C,) and its degrees of freedom (C,), over residuals with random signs."""
-        return _signed(self, real, simulated)
 
 
 def pooled_divergence(name: str, binnings: Sequence[Binning], counts: np.ndarray) -> PooledDivergence:
@@ -129,8 +151,8 @@ def pooled_divergence(name: str, binnings: Sequence[Binning], counts: np.ndarray
     if name == JS:
         return JensenShannon()
     if name == "wasserstein":
-        return Wasserstein()
-    return MaximumMeanDiscrepancy(counts) if name == "mmd" else OfSamples(name, tuple(binnings))
+        return Wasserstein(counts)
+    return MaximumMeanDiscrepancy(counts) if name == "mmd" else OfSamples(name, binnings, counts)
 
 
 def _difference(real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
@@ -161,17 +183,6 @@ def stand_ins(counts: np.ndarray, binning: Binning) -> np.ndarray:
     some = flat.sum(axis=-1, keepdims=True) > 0
     found = np.where(some, edges[bins] + width * within.clip(0.0, 1.0), np.nan)
     return found.reshape(*counts.shape[:-1], POINTS)
-
-
-def _signed(measure: PooledDivergence, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (C,) of a divergence where residuals have random signs, and degrees of freedom (C,) by its variance."""
-    middle, moved = _residuals(real, simulated)
-    signs = np.random.default_rng(0).choice([-0.5, 0.5], (FLIPS, len(moved)))
-    apart = np.tensordot(signs, moved, axes=1)
-    drawn = measure(np.maximum(middle + apart, 0.0), np.maximum(middle - apart, 0.0)[None])[0]
-    mean, variance = drawn.mean(axis=0), drawn.var(axis=0, ddof=1)
-    freedom = 2 * mean**2 / np.where(variance > 0, variance, np.inf)
-    return mean, np.clip(freedom, 1.0, effective_bins(real))
 
 
 def effective_bins(counts: np.ndarray) -> np.ndarray:
