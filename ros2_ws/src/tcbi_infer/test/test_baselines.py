@@ -12,7 +12,7 @@ from tcbi_infer.baselines.trajectory import Trajectories, distance, observe, tra
 from tcbi_infer.errors import InferError, MissingExtraError
 from tcbi_infer.tcbi import paper
 from tcbi_infer.tcbi.driver import infer
-from tcbi_infer.tcbi.features import Features
+from tcbi_infer.tcbi.features import Features, Observed
 from tcbi_infer.tcbi.method import METHODS, find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.proposal import to_probit
@@ -212,13 +212,15 @@ def test_all_simulations_diverged_is_an_error(module) -> None:
     if module is bayesopt:
         pytest.importorskip("optuna")
 
+    one = Observed(np.zeros((1, 1, 1)), np.zeros(1, int), ("x",), ("x/x",))
+
     def simulate(unit: np.ndarray) -> Features:
         return Features(np.zeros(0), np.full((len(unit), 1), 0.5), np.zeros(len(unit)), np.zeros(len(unit), bool))
 
     with pytest.raises(InferError, match="all 20 simulations diverged"):
         if module is paper:
             state = paper.init(np.random.default_rng(0), 1, settings)
-            paper.step(np.random.default_rng(0), state, simulate, lambda divergence: divergence, settings)
+            paper.step(np.random.default_rng(0), state, simulate, one, settings)
         else:
             begin = getattr(module, "begin", budget.begin)
             module.step(np.random.default_rng(0), begin(1, REAL), diverged, settings)

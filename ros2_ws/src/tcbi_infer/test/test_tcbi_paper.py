@@ -5,7 +5,7 @@ import pytest
 
 from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi import paper
-from tcbi_infer.tcbi.features import Features
+from tcbi_infer.tcbi.features import Features, Observed
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 
 CENTER, STEEPNESS = 0.6, 20.0
@@ -17,15 +17,14 @@ def quadratic(unit: np.ndarray) -> Features:
     return Features(np.zeros((len(unit), 1, 1, 1)), divergence, np.full(len(unit), np.nan), np.ones(len(unit), bool))
 
 
-def same(divergence: np.ndarray) -> np.ndarray:
-    return divergence
+ONE = Observed(np.zeros((1, 1, 1)), np.zeros(1, int), ("x",), ("x/x",))
 
 
 def test_one_step_is_the_literal_loop_of_algorithm_1() -> None:
     settings = paper.PaperSettings(particles=12, alpha=3.0, sigma=0.02, tau=0.0)
     state = paper.init(np.random.default_rng(0), 1, settings)
-    state, _ = paper.step(np.random.default_rng(1), state, quadratic, same, settings)
-    new, info = paper.step(np.random.default_rng(2), state, quadratic, same, settings)
+    state, _ = paper.step(np.random.default_rng(1), state, quadratic, ONE, settings)
+    new, info = paper.step(np.random.default_rng(2), state, quadratic, ONE, settings)
 
     rng = np.random.default_rng(2)
     parents = rng.choice(12, size=12, p=state.weights)
@@ -47,7 +46,7 @@ def test_one_step_is_the_literal_loop_of_algorithm_1() -> None:
 def test_low_effective_sample_size_resamples_and_resets_the_weights() -> None:
     settings = paper.PaperSettings(particles=50, alpha=1000.0, tau=0.5)
     state = paper.init(np.random.default_rng(0), 1, settings)
-    state, info = paper.step(np.random.default_rng(1), state, quadratic, same, settings)
+    state, info = paper.step(np.random.default_rng(1), state, quadratic, ONE, settings)
     assert info.resampled and info.ess < 25
     assert np.all(state.weights == 1 / 50)
     assert len(np.unique(state.particles)) < 25
@@ -57,7 +56,7 @@ def test_the_first_generation_without_perturbation_is_the_exact_generalised_post
     """Mean and variance of prior x exp(-alpha D), by quadrature; 4000 particles, five standard errors."""
     settings = paper.PaperSettings(particles=4000, alpha=2.0, sigma=0.0, tau=0.0)
     state = paper.init(np.random.default_rng(0), 1, settings)
-    state, info = paper.step(np.random.default_rng(1), state, quadratic, same, settings)
+    state, info = paper.step(np.random.default_rng(1), state, quadratic, ONE, settings)
     grid = np.linspace(0, 1, 10001)
     density = np.exp(-2.0 * STEEPNESS * (grid - CENTER) ** 2)
     mean = np.average(grid, weights=density)
@@ -74,7 +73,7 @@ def test_iterating_narrows_as_the_algorithm_must_whatever_the_data_say() -> None
     likelihood = 1 / (2 * settings.alpha * STEEPNESS)
     variance = None
     for t in range(6):
-        state, _ = paper.step(np.random.default_rng([5, t]), state, quadratic, same, settings)
+        state, _ = paper.step(np.random.default_rng([5, t]), state, quadratic, ONE, settings)
         _, found = mean_and_variance(state.particles, state.weights)
         if variance is not None:
             variance = 1 / (1 / (variance + settings.sigma**2) + 1 / likelihood)
@@ -91,7 +90,7 @@ def test_diverged_simulations_weigh_nothing() -> None:
 
     settings = paper.PaperSettings(particles=40, tau=0.0)
     state, _ = paper.step(
-        np.random.default_rng(1), paper.init(np.random.default_rng(0), 1, settings), half, same, settings
+        np.random.default_rng(1), paper.init(np.random.default_rng(0), 1, settings), half, ONE, settings
     )
     assert np.all(state.weights[state.particles[:, 0] <= 0.5] == 0)
     assert np.isfinite(state.mean).all()
@@ -105,7 +104,7 @@ def test_particles_whose_divergence_is_not_finite_weigh_nothing(value: float) ->
 
     settings = paper.PaperSettings(particles=40, tau=0.0)
     state, info = paper.step(
-        np.random.default_rng(1), paper.init(np.random.default_rng(0), 1, settings), some, same, settings
+        np.random.default_rng(1), paper.init(np.random.default_rng(0), 1, settings), some, ONE, settings
     )
     assert np.all(state.weights[state.particles[:, 0] <= 0.5] == 0)
     assert info.ess < 40 and np.isfinite(info.divergence).all()
@@ -117,8 +116,8 @@ def test_a_divergence_that_is_finite_nowhere_is_an_error() -> None:
 
     settings = paper.PaperSettings(particles=40)
     state = paper.init(np.random.default_rng(0), 1, settings)
-    with pytest.raises(InferError, match="the divergence is not finite for any of 40 simulations"):
-        paper.step(np.random.default_rng(1), state, none, same, settings)
+    with pytest.raises(InferError, match="the divergence of x/x is not finite, so no simulation can be weighed"):
+        paper.step(np.random.default_rng(1), state, none, ONE, settings)
 
 
 def test_converges_when_mean_and_reward_stand_still_and_never_past_the_bound() -> None:
@@ -128,7 +127,7 @@ def test_converges_when_mean_and_reward_stand_still_and_never_past_the_bound() -
     settings = paper.PaperSettings(particles=200, alpha=50.0, sigma=0.002, generations=15)
     state = paper.init(np.random.default_rng(0), 1, settings)
     while not paper.finished(state, settings):
-        state, _ = paper.step(np.random.default_rng([1, state.generation]), state, rewarded, same, settings)
+        state, _ = paper.step(np.random.default_rng([1, state.generation]), state, rewarded, ONE, settings)
     assert state.converged and 1 < state.generation < 15
     _, log_weights = paper.posterior(state)
     assert normalised(log_weights).sum() == pytest.approx(1.0)
@@ -143,7 +142,7 @@ def test_reward_that_still_improves_holds_convergence_back() -> None:
     settings = paper.PaperSettings(particles=200, alpha=50.0, sigma=0.002, generations=10)
     state = paper.init(np.random.default_rng(0), 1, settings)
     while not paper.finished(state, settings):
-        state, _ = paper.step(np.random.default_rng([1, state.generation]), state, rewarded, same, settings)
+        state, _ = paper.step(np.random.default_rng([1, state.generation]), state, rewarded, ONE, settings)
     assert not state.converged and state.generation == 10
 
 

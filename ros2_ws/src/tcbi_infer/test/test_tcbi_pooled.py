@@ -7,6 +7,7 @@ import pytest
 from tcbi_cases import normal_problem
 
 from tcbi_infer.divergence import Binning, divergence
+from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi import calibrated
 from tcbi_infer.tcbi.calibration import floors
 from tcbi_infer.tcbi.features import Features, Observed, binned, divergences
@@ -153,6 +154,21 @@ def test_a_channel_that_never_changes_on_the_robot_leaves_the_others_their_say(n
         beside = beside_a_still_one(one, simulate, name, np.random.default_rng(seed))
         ratios.append(width(*beside) / width(one, simulate))
     assert np.mean(ratios) < 1.6
+
+
+def test_a_channel_whose_divergence_is_finite_nowhere_is_named_and_the_model_not_called_unstable() -> None:
+    one, simulate, _ = normal_problem(0.5, 0)
+    both, joined = beside_a_still_one(one, simulate, "js", np.random.default_rng(0))
+
+    def spoilt(unit: np.ndarray) -> Features:
+        features = joined(unit)
+        features.divergence[:, 1] = np.nan
+        features.divergence[::2, 0] = np.inf
+        return features
+
+    settings = calibrated.CalibratedSettings(particles=40)
+    with pytest.raises(InferError, match="the divergence of y/y is not finite, so no simulation can be weighed; if it"):
+        calibrated.step(np.random.default_rng(0), calibrated.init(1), spoilt, both, settings)
 
 
 def test_a_simulation_whose_divergence_is_not_finite_weighs_nothing() -> None:

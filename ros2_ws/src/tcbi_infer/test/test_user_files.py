@@ -93,6 +93,8 @@ def test_the_examples_of_the_page_are_fit_for_use(folders: Path) -> None:
         (folders / name).write_text(text)
     problem = Problem.of(*bench_rollouts(count=3), statistics=("joint_speed",), divergence_name="means", timestep=0.01)
     assert np.isfinite(problem.simulate(np.array([BENCH_TRUTH])).divergence).all()
+    constant = np.full(60, 0.1)
+    assert np.isfinite(divergence.measured("means", constant, np.stack([constant, constant + 1]))).all()
 
 
 def test_a_users_statistic_that_fails_on_rollouts_is_named_with_its_line(folders: Path) -> None:

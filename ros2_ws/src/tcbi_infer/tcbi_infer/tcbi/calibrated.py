@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tcbi_contract.errors import describe
-from tcbi_infer.errors import InferError, SettingError
+from tcbi_infer.errors import SettingError
 from tcbi_infer.tcbi import calibration
-from tcbi_infer.tcbi.features import Features, Observed
+from tcbi_infer.tcbi.features import Features, Observed, weighable
 from tcbi_infer.tcbi.proposal import (
     Proposal,
     draw,
@@ -97,7 +97,7 @@ def step(
 
     Raises:
       SettingError: alpha is out of its range.
-      InferError: every simulation diverged.
+      InferError: every simulation diverged, or none has a finite divergence.
     """
     if not 0 < settings.alpha <= calibration.LARGEST_ALPHA:
         raise SettingError(describe("alpha", settings.alpha, f"above 0, at most {calibration.LARGEST_ALPHA}"))
@@ -108,22 +108,12 @@ def step(
         weights = normalised(state.log_weights)
         drawn_from = proposal(settings.particles, state.z, weights, normal, settings.prior_share)
     fresh = draw(rng, drawn_from)
-    simulated = _finite(simulate(from_probit(fresh)))
+    simulated = simulate(from_probit(fresh))
     features = simulated if state.generation == 0 else state.features.join(simulated)
+    usable = weighable(features, observed.channels)
+    features = features._replace(divergence=np.where(usable[:, None], features.divergence, 0.0), valid=usable)
     z, proposals = np.concatenate([state.z, fresh]), (*state.proposals, drawn_from)
-    if not features.valid.any():
-        raise InferError(
-            f"all {len(z)} simulations diverged: the model is unstable over its whole prior; "
-            "narrow the parameters' bounds or lower the time step"
-        )
     return _weigh(rng, state, z, features, proposals, observed, settings)
-
-
-def _finite(features: Features) -> Features:
-    """A simulation of which a divergence is not finite weighs nothing, like one that diverged."""
-    finite = np.isfinite(features.divergence).all(axis=1)
-    divergence = np.where(finite[:, None], features.divergence, 0.0)
-    return features._replace(divergence=divergence, valid=features.valid & finite)
 
 
 def _weigh(

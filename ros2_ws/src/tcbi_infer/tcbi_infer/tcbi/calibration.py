@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.tcbi.features import Observed, resampled_divergences
+from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi.features import Observed, not_finite, resampled_divergences
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 
 LARGEST_ALPHA = 0.5
@@ -47,6 +48,9 @@ def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usabl
       counts: (M, U, C, B) of the simulations.
       divergence: (M, C) of the pooled counts.
       usable: (M,) bool, particles that did not diverge.
+
+    Raises:
+      InferError: the divergence of the rollouts from ones like them is not finite.
     """
     candidates = np.flatnonzero(usable)
     scale = np.maximum(np.median(divergence[candidates], axis=0), LEAST)
@@ -56,6 +60,8 @@ def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usabl
         best = candidates[np.argsort(energy, kind="stable")[:BEST]]
         each = [observed.measure.noise(observed.counts, counts[b]) for b in best]
         noise, freedom = np.mean(each, axis=0)
+        if not np.isfinite(noise).all():
+            raise InferError(not_finite([observed.channels[c] for c in np.flatnonzero(~np.isfinite(noise))]))
         found = Floors(noise, freedom, divergence[best].min(axis=0))
     return found
 

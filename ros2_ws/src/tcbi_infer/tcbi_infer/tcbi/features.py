@@ -5,10 +5,12 @@ simulating again; the trajectories themselves are dropped. M particles, U units 
 there are few), C channels of all statistics in a row, B bins.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from tcbi_contract.wording import some
 from tcbi_infer.divergence import Binning
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, Statistic, failing
@@ -77,6 +79,33 @@ def binned(values: np.ndarray, binnings: list[Binning], blocks: int) -> np.ndarr
         for i, binning in enumerate(binnings):
             counts[:, :, b, i] = binning.counts(part[:, :, i])
     return counts.reshape(n, s * blocks, c, -1)
+
+
+def weighable(features: Features, channels: Sequence[str]) -> np.ndarray:
+    """(M,) bool: the simulations that did not diverge and have a finite divergence in each of C channels.
+
+    Raises:
+      InferError: there is none; the line says why.
+    """
+    finite = np.isfinite(features.divergence)
+    usable = features.valid & finite.all(axis=1)
+    if usable.any():
+        return usable
+    if not features.valid.any():
+        raise InferError(
+            f"all {len(usable)} simulations diverged: the model is unstable over its whole prior; "
+            "narrow the parameters' bounds or lower the time step"
+        )
+    shares = np.mean(~finite[features.valid], axis=0)
+    raise InferError(not_finite([channels[c] for c in np.flatnonzero(shares == shares.max())]))
+
+
+def not_finite(channels: Sequence[str]) -> str:
+    """A line for channels of which no divergence is to be had."""
+    return (
+        f"the divergence of {some(channels)} is not finite, so no simulation can be weighed; if it is your own, mend "
+        "it (samples may be all equal, or missing), else take another one or leave the statistic out"
+    )
 
 
 def divergences(observed: Observed, simulated: np.ndarray) -> np.ndarray:

@@ -73,7 +73,7 @@ def _each_generation(state: State, settings: Any) -> int:
 def _paper_step(
     rng: np.random.Generator, state: Any, simulate: Callable[[np.ndarray], Features], observed: Observed, settings: Any
 ) -> tuple[paper.PaperState, Generation]:
-    state, info = paper.step(rng, state, simulate, observed.by_statistic, settings)
+    state, info = paper.step(rng, state, simulate, observed, settings)
     return state, Generation(info.ess, info.alpha, info.divergence, {"resampled": info.resampled})
 
 

@@ -26,8 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.errors import InferError
-from tcbi_infer.tcbi.features import Features
+from tcbi_infer.tcbi.features import Features, Observed, weighable
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised
 
 
@@ -74,7 +73,7 @@ def step(
     rng: np.random.Generator,
     state: PaperState,
     simulate: Callable[[np.ndarray], Features],
-    by_statistic: Callable[[np.ndarray], np.ndarray],
+    observed: Observed,
     settings: PaperSettings,
 ) -> tuple[PaperState, PaperInfo]:
     """One pass of lines 4 to 12.
@@ -83,7 +82,7 @@ def step(
       rng: the randomness of this generation.
       state: after the previous generation.
       simulate: (N, P) in [0, 1] -> features, whose `divergence` is that of line 8 (lines 6 to 8).
-      by_statistic: (N, C) divergences -> (N, statistics).
+      observed: the real rollouts.
       settings: Algorithm 1's inputs.
 
     Raises:
@@ -94,11 +93,8 @@ def step(
     noise = settings.sigma * rng.standard_normal(state.particles.shape)
     particles = reflected(state.particles[parents] + noise)  # line 5: ... and perturb
     features = simulate(particles)  # line 6: simulate; line 7: estimate distributions
-    divergence = by_statistic(features.divergence)  # line 8: Jensen-Shannon divergence
-    usable = features.valid & np.isfinite(divergence).all(axis=1)
-    if not usable.any():
-        raise InferError(_unusable(features.valid))
-    divergence = np.where(usable[:, None], divergence, 0.0)
+    usable = weighable(features, observed.channels)
+    divergence = observed.by_statistic(np.where(usable[:, None], features.divergence, 0.0))  # line 8: Jensen-Shannon
     discrepancy = np.where(usable, divergence.sum(axis=1), np.inf)
     weights = normalised(-settings.alpha * discrepancy)  # line 9: w_i = exp(-alpha D_i); line 10: normalise
     ess = effective_sample_size(weights)  # line 11
@@ -127,18 +123,6 @@ def reflected(unit: np.ndarray) -> np.ndarray:
     """Values folded back into [0, 1] at its ends."""
     folded = np.mod(unit, 2.0)
     return np.where(folded > 1.0, 2.0 - folded, folded)
-
-
-def _unusable(valid: np.ndarray) -> str:
-    if valid.any():
-        return (
-            f"the divergence is not finite for any of {valid.sum()} simulations; "
-            "mend it if it is your own, or take another one"
-        )
-    return (
-        f"all {len(valid)} simulations diverged: the model is unstable over its whole prior; "
-        "narrow the parameters' bounds or lower the time step"
-    )
 
 
 def _weighted_reward(reward: np.ndarray, weights: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S
-from tcbi_contract.wording import counted
+from tcbi_contract.wording import counted, some
 from tcbi_infer.errors import InferError
 from tcbi_infer.gaps import unusable
 from tcbi_infer.statistics import RolloutArrays, from_measurements
@@ -50,16 +50,16 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
     if others:
         wrong = [m.rollout_id for m in measurements if m.rig != model.rig]
         raise InferError(
-            f"model {model.version} is of rig {model.rig}, but {_some(wrong)} {_are(wrong)} of {', '.join(others)}; "
+            f"model {model.version} is of rig {model.rig}, but {some(wrong)} {_are(wrong)} of {', '.join(others)}; "
             "infer each rig's rollouts with a model of that rig"
         )
     usable = [m for m in measurements if len(m.time) >= LEAST_SAMPLES and len(m.commands.time)]
     if len(usable) < len(measurements):
         short = [m.rollout_id for m in measurements if not (len(m.time) >= LEAST_SAMPLES and len(m.commands.time))]
-        warnings.append(f"{_some(short)} left out: fewer than {LEAST_SAMPLES} samples, or no command")
+        warnings.append(f"{some(short)} left out: fewer than {LEAST_SAMPLES} samples, or no command")
     torn = {m.rollout_id for m in usable if _torn(m)}
     if torn:
-        warnings.append(f"{_some(sorted(torn))} left out: samples, commands or a signal are missing in part")
+        warnings.append(f"{some(sorted(torn))} left out: samples, commands or a signal are missing in part")
         usable = [m for m in usable if m.rollout_id not in torn]
     lines, usable = _without_the_blind(usable)
     warnings += lines
@@ -95,7 +95,7 @@ def _without_the_blind(measurements: list[Measurement]) -> tuple[list[str], list
     for name in SENSED:
         blind = [m.rollout_id for m in kept if getattr(m, name) is None]
         if 0 < len(blind) <= len(measurements) / 3:
-            lines.append(f"{_some(blind)} left out: no {name.replace('_', ' ')} was recorded, which the others have")
+            lines.append(f"{some(blind)} left out: no {name.replace('_', ' ')} was recorded, which the others have")
             kept = [m for m in kept if m.rollout_id not in blind]
     return lines, kept
 
@@ -118,7 +118,7 @@ def _mixture(measurements: Sequence[Measurement]) -> list[str]:
         found.append(f"rollouts of several sources ({', '.join(sources)}) are taken together, in one posterior")
     policies = sorted({m.policy_id for m in measurements})
     if len(policies) > 1:
-        found.append(f"rollouts of {len(policies)} policies ({_some(policies)}) are taken together")
+        found.append(f"rollouts of {len(policies)} policies ({some(policies)}) are taken together")
     if len(measurements) < ENOUGH:
         found.append(
             f"only {len(measurements)} rollouts: each is cut into {blocks_for(len(measurements))} blocks to judge the "
@@ -271,10 +271,6 @@ def noisier(noise: Noise, nominal: Noise) -> list[str]:
         for name, seen, sd, unit in readings
         if seen > sd
     ]
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _are(names: Sequence[str]) -> str:
