@@ -207,8 +207,9 @@ class EpisodeReward:
 def episode_reward(measurement: Measurement) -> EpisodeReward:
     """The reward of a rollout, from what the robot can measure.
 
-    Without a tracker, a task that counts distance has no step rewards but still a return, from the distance at the end;
-    one with another term that needs the position has neither.
+    Without a tracker, or with one that had lost the robot at the start or the end, a task that counts distance has no
+    step rewards but still a return, from the distance at the end; one with another term that needs the position has
+    neither.
 
     Raises:
       RewardError: no attitude, or no command, was measured.
@@ -223,7 +224,7 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
     previous = np.zeros(commands.target.shape[1]) if start is None else np.asarray(start, float)
     attitude = measurement.attitude[rows]
     moved = None
-    if measurement.position is not None:
+    if measurement.position is not None and _tracked_to_the_end(measurement, rows):
         moved = progress(measurement.position[rows], measurement.scenario.initial_yaw)
     missing = tuple(t for t in terms if moved is None and (t.name == DISTANCE or needs_position(t)))
     known = tuple(term for term in terms if term not in missing)
@@ -232,6 +233,19 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
         return EpisodeReward(steps, float(steps.sum()))
     end = sum(term.weight * measurement.distance if term.name == DISTANCE else np.nan for term in missing)
     return EpisodeReward(np.full(len(commands.time), np.nan), float(steps.sum() + end))
+
+
+def _tracked_to_the_end(measurement: Measurement, rows: np.ndarray) -> bool:
+    """Whether a tracker saw the robot at the first and the last of the samples `rows`, between which it walked."""
+    assert measurement.position is not None
+    ends = rows[[0, -1]]
+    lost = [
+        begin <= time <= end
+        for name, begin, end in measurement.gaps
+        if name == "position"
+        for time in measurement.time[ends]
+    ]
+    return bool(np.isfinite(measurement.position[ends]).all()) and not any(lost)
 
 
 def rows_at_ticks(sample_time: np.ndarray, command_time: np.ndarray) -> np.ndarray:

@@ -93,6 +93,24 @@ def test_the_distance_at_the_end_is_enough_for_the_return(yaw: float) -> None:
     assert without.total == pytest.approx(episode_reward(measurement).total)
 
 
+@pytest.mark.parametrize("lost", [(0.0, 0.3), (1.4, np.inf)])
+def test_a_tracker_that_lost_the_robot_at_an_end_gives_way_to_the_distance(lost: tuple[float, float]) -> None:
+    from dataclasses import replace
+
+    measurement = walk()
+    assert measurement.position is not None
+    away = (measurement.time >= lost[0]) & (measurement.time < lost[1])
+    held = np.where(away[:, None], measurement.position[~away][0 if lost[0] == 0 else -1], measurement.position)
+    nowhere = np.where(away[:, None], np.nan, measurement.position)
+    true = episode_reward(measurement).total
+    for wrong in (
+        replace(measurement, position=held, gaps=(("position", *lost),)),
+        replace(measurement, position=nowhere),
+    ):
+        assert episode_reward(wrong).total == pytest.approx(true)
+        assert np.isnan(episode_reward(replace(wrong, distance=np.nan)).total)
+
+
 def test_neither_position_nor_distance_leaves_the_return_unknown() -> None:
     from dataclasses import replace
 
