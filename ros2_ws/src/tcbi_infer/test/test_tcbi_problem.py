@@ -169,7 +169,9 @@ def test_the_posterior_opens_in_arviz_and_becomes_a_model_version(result: Result
         assert rows.sizes == {"generation": len(result.generations), "parameter": 3, "statistic": 2}
 
 
-def test_a_prior_that_excludes_the_data_is_named_and_the_model_believed_less(bench, monkeypatch) -> None:
+@pytest.fixture(scope="module")
+def excluding(bench) -> Problem:
+    """A prior without the gain of the rollouts."""
     model, measurements = bench
     low, high = model.parameters[0].low, model.parameters[0].high
     middle = low * (high / low) ** 0.3  # the truth lies at 0.45
@@ -177,16 +179,29 @@ def test_a_prior_that_excludes_the_data_is_named_and_the_model_believed_less(ben
     particles = model.particles.copy()
     particles[:, 0] = np.clip(particles[:, 0], low, middle)
     wrong = dataclasses.replace(model, parameters=(narrowed, *model.parameters[1:]), particles=particles)
-    problem = Problem.of(wrong, measurements, timestep=0.01)
-    found = infer(problem, seed=0, particles=60, generations=5)
+    return Problem.of(wrong, measurements, timestep=0.01)
+
+
+def test_a_prior_that_excludes_the_data_is_named_and_the_model_believed_less(excluding: Problem, monkeypatch) -> None:
+    found = infer(excluding, seed=0, particles=60, generations=5)
     assert any("prior of gain seems to exclude the data" in line for line in found.warnings)
     assert not found.fits and not any(e.identified for e in found.estimates)
     monkeypatch.setattr(driver, "worst_misfit", lambda last: 1.0)
-    believed = infer(problem, seed=0, particles=60, generations=5)
+    believed = infer(excluding, seed=0, particles=60, generations=5)
     assert found.ess > 1.2 * believed.ess
     for result in (found, believed):
         mean = np.exp(result.log_weights) @ result.particles
         np.testing.assert_allclose(result.generations[-1]["mean"], mean, err_msg="the curves end at the posterior")
+
+
+def test_of_a_model_that_is_called_wrong_no_more_generations_are_asked_for(
+    excluding: Problem, problem: Problem, monkeypatch
+) -> None:
+    monkeypatch.setattr(driver, "unfinished", lambda last: ["more generations narrow it"])
+    for given, fits in ((excluding, False), (problem, True)):
+        found = infer(given, seed=0, particles=40, generations=2)
+        assert found.fits is fits and not found.converged
+        assert ("more generations narrow it" in found.warnings) == fits
 
 
 def test_channels_with_too_few_samples_to_tell_anything_are_named_and_left_out(bench, monkeypatch) -> None:

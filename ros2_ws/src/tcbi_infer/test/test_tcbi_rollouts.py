@@ -10,7 +10,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.rollouts import sample_rate
+from tcbi_infer.tcbi.rollouts import checked, sample_rate
 from tcbi_policy.errors import PolicyError
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import base_model
@@ -42,6 +42,27 @@ def test_a_rollout_that_is_another_one_again_counts_once(bench) -> None:
     problem = Problem.of(model, [measurements[0], *again, *measurements[1:3]], timestep=0.01)
     assert problem.rollout_ids == tuple(m.rollout_id for m in measurements[:3])
     assert any("2 rollouts left out: another one again to the last bit" in line for line in problem.warnings)
+
+
+def test_rollouts_that_differ_in_any_signal_are_no_copies() -> None:
+    one, other = hexapod_rollouts("gait:tripod")
+    tilted = dataclasses.replace(other, joint_position=one.joint_position)
+    assert len(checked(base_model("hexapod"), [one, tilted])[0]) == 2
+
+
+@pytest.mark.parametrize("what", ["task", "source", "policy"])
+def test_the_one_of_many_rollouts_that_is_of_something_else_is_named(bench, what: str) -> None:
+    model, measurements = bench
+    stray = measurements[3]
+    if what == "task":
+        other = dataclasses.replace(stray, scenario=dataclasses.replace(stray.scenario, task="swing"))
+    else:
+        other = dataclasses.replace(stray, **{"source": {"source": "elsewhere"}, "policy": {"policy_id": "lost"}}[what])
+    (line,) = (s for s in checked(model, [*measurements[:3], other, *measurements[4:]])[1] if "taken together" in s)
+    usual = {"task": "steps", "source": stray.source, "policy": stray.policy_id}[what]
+    assert line.endswith(f"; all but {stray.rollout_id} are of {usual}")
+    halves = [dataclasses.replace(m, source=f"{i % 2}") for i, m in enumerate(measurements)]
+    assert "all but" not in " ".join(checked(model, halves)[1])
 
 
 def test_few_rollouts_mixed_tasks_and_repeated_ids_are_said(bench) -> None:

@@ -301,7 +301,7 @@ class _Loop:
             log_weights = _log_shares(self.method.distrusted(self.state, ratio)[kept])
             history[-1] = {**history[-1], "alpha": last.alpha / ratio, **self._moments(unit, log_weights)}
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
-        lines += [] if self.state.converged else unfinished(last)
+        lines += [] if self.state.converged or fits is False else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):
             lines.append(f"the posterior has {several}; a mean and an interval do not show that, the report does")
         judged = self.method.judges and fits is True

@@ -1,7 +1,8 @@
 """The real rollouts of an inference: checked, grouped, and each group on its own time grid."""
 
 import dataclasses
-from collections.abc import Container, Sequence
+from collections import Counter
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ FINE_S = 0.02  # a gap is longer
 MOST_SILENT = 0.05  # of a rollout
 WHITE = -0.5  # autocorrelation of third differences, below which noise is white enough to be noise
 SENSED = ("attitude", "angular_velocity", "contact")  # that a statistic is made of, and a rollout may lack
+SIGNALS = ("joint_position", *SENSED, "linear_acceleration", "position")
+STRAY = 0.2  # share of the rollouts, up to which those that differ from the others are named
 
 
 @dataclass(frozen=True)
@@ -73,9 +76,9 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
             f"{len(distinct)} usable rollout(s), at least 2 are needed to see how rollouts differ (20 advised); "
             "record more"
         )
-    first: dict[bytes, Measurement] = {}
+    first: dict[tuple[bytes | None, ...], Measurement] = {}
     for m in distinct:
-        first.setdefault(m.joint_position.tobytes(), m)
+        first.setdefault(_signals(m), m)
     unlike = list(first.values())
     if len(unlike) == 1:
         raise InferError(
@@ -87,6 +90,12 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
             f"{counted(copies, 'rollout')} left out: another one again to the last bit, which tells nothing new"
         )
     return unlike, warnings + _mixture(unlike)
+
+
+def _signals(m: Measurement) -> tuple[bytes | None, ...]:
+    """All that was measured in a rollout, to the last bit."""
+    signals = (getattr(m, name) for name in SIGNALS)
+    return tuple(None if values is None else values.tobytes() for values in signals)
 
 
 def _without_the_blind(measurements: list[Measurement]) -> tuple[list[str], list[Measurement]]:
@@ -108,23 +117,28 @@ def _torn(m: Measurement) -> bool:
 
 def _mixture(measurements: Sequence[Measurement]) -> list[str]:
     found = []
-    tasks = sorted({m.scenario.task for m in measurements})
-    if len(tasks) > 1:
-        found.append(
-            f"rollouts of several tasks ({', '.join(tasks)}) are taken together: their distributions are pooled"
-        )
-    sources = sorted({m.source for m in measurements})
-    if len(sources) > 1:
-        found.append(f"rollouts of several sources ({', '.join(sources)}) are taken together, in one posterior")
-    policies = sorted({m.policy_id for m in measurements})
-    if len(policies) > 1:
-        found.append(f"rollouts of {len(policies)} policies ({some(policies)}) are taken together")
+    for kind, of, how in (
+        ("tasks", lambda m: m.scenario.task, ": their distributions are pooled"),
+        ("sources", lambda m: m.source, ", in one posterior"),
+        ("policies", lambda m: m.policy_id, ""),
+    ):
+        seen = {m.rollout_id: of(m) for m in measurements}
+        if len(several := sorted(set(seen.values()))) > 1:
+            found.append(f"rollouts of several {kind} ({some(several)}) are taken together{how}{_strays(seen)}")
     if len(measurements) < ENOUGH:
         found.append(
             f"only {len(measurements)} rollouts: each is cut into {blocks_for(len(measurements))} blocks to judge the "
             "scatter, which misses what differs between rollouts only; record 20 for a posterior to rely on"
         )
     return found
+
+
+def _strays(seen: Mapping[str, str]) -> str:
+    """The rollouts that differ from nearly all others, of rollout -> what it is of."""
+    ((usual, count),) = Counter(seen.values()).most_common(1)
+    if len(seen) - count > STRAY * len(seen):
+        return ""
+    return f"; all but {some([r for r, what in seen.items() if what != usual])} are of {usual or 'an unnamed one'}"
 
 
 def blocks_for(rollouts: int) -> int:
