@@ -12,12 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tcbi_contract.errors import describe
 from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.user_file import told
 
 BINS = 20
+LEAST_BINS = 3
+OUTER = 0.005  # share of the samples at either end that may not stretch the bins
 NARROW = 0.1  # share of the samples' whole range, below which the real ones' range is no measure of distance
 TINY = np.float32(1e-30)  # in place of a probability of zero under a logarithm
 LOG2 = float(np.log(2.0))  # the largest Jensen-Shannon divergence, in nats
@@ -27,7 +30,7 @@ Divergence = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Binning:
-    """Equal bins over the real data's range, and one tail bin on either side for what the robot never did."""
+    """Equal bins over the real data's range, and one tail bin on either side for what the robot hardly ever did."""
 
     low: float
     high: float
@@ -35,11 +38,24 @@ class Binning:
 
     @classmethod
     def of(cls, real: np.ndarray, bins: int = BINS) -> "Binning":
-        """Bins shared by the robot and every simulation, from the range of the real samples."""
-        finite = real[np.isfinite(real)]
+        """Bins shared by the robot and every simulation, from the range of the real samples.
+
+        The range ends where a sample lies further beyond the inner 99 % than these are apart: such outliers fall in the
+        tails, and leave the bins to the others.
+
+        Raises:
+          InferError: there is no finite sample, or no bin between the tails.
+        """
+        if bins < LEAST_BINS:
+            raise InferError(describe("bins", bins, f"{LEAST_BINS} or more, two of them tails"))
+        finite = np.sort(real[np.isfinite(real)])
         if finite.size == 0:
             raise InferError("a statistic has no finite sample in the real rollouts; leave it out")
-        low, high = float(finite.min()), float(finite.max())
+        low, high = float(finite[0]), float(finite[-1])
+        cut = int(np.ceil(OUTER * (finite.size - 1)))  # on either side, at least one
+        within = float(finite[-1 - cut] - finite[cut])
+        if within > 0:
+            low, high = max(low, float(finite[cut]) - within), min(high, float(finite[-1 - cut]) + within)
         margin = 1e-9 * max(abs(low), abs(high), 1e-3)  # a constant statistic still gets bins
         return cls(low - margin, high + margin, bins)
 

@@ -271,6 +271,16 @@ def test_a_statistic_that_is_the_same_in_every_sample_is_named(divergence: str, 
     assert np.isfinite(list(result.generations[-1]["misfit"].values())).all()
 
 
+def test_a_statistic_of_which_nearly_all_samples_lie_in_one_bin_is_named(bench, monkeypatch) -> None:
+    def rare(arrays: Any) -> np.ndarray:
+        return np.where(np.arange(100) < 5, 0.0, np.full((*arrays.count, 1, 100), 1.0))
+
+    crowded = Statistic("crowded", "1", "nearly constant", (), lambda a: ("x",), rare)
+    monkeypatch.setattr(statistics, "library", lambda: {"crowded": crowded})
+    problem = Problem.of(*bench, statistics=("crowded",), timestep=0.01)
+    assert "nearly all samples lie in one of 20 bins, so it tells little: crowded/x (95.0%)" in problem.warnings
+
+
 @pytest.mark.parametrize("method", sorted(set(METHODS) - {"prior", "bayesopt", "npe"}))
 def test_simulations_that_diverge_leave_every_method_a_finite_posterior(problem: Problem, method: str) -> None:
     """A third of the particles, those of the highest gain, diverge."""

@@ -38,6 +38,7 @@ from tcbi_sim.workers import chunk_size, present
 # of a channel: with fewer the histogram of a right model may lie 6 to 11 times as far off as their scatter suggests (a
 # simulation of such draws), and be taken for a wrong one; with 5 at most 3 times
 LEAST_SAMPLES = 5
+CROWDED = 0.9  # share of a channel's samples in one bin, from which it is said
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
 LONGEST_STEP = 0.005  # s: with 10 ms stiff servos look softer by up to a fifth (docs/tcbi.md)
 
@@ -140,7 +141,7 @@ class Problem:
             binnings, tuple(pooled[i] for i in used), blocks, noise,
             timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
             (*warnings, said, *left_out,
-             *_silent(names, used), *_constant(names, used, pooled), *noisier(noise, nominal)),
+             *_silent(names, used), *_constant(names, used, pooled), *_crowded(observed), *noisier(noise, nominal)),
             known,
         )  # fmt: skip
 
@@ -382,3 +383,12 @@ def _silent(names: list[str], used: list[int]) -> tuple[str, ...]:
 def _constant(names: list[str], used: list[int], pooled: list[np.ndarray]) -> tuple[str, ...]:
     constant = [f"{names[i]} ({pooled[i][0]:.3g})" for i in used if np.ptp(pooled[i]) == 0]
     return (f"the same in every sample, so it tells little: {', '.join(constant)}",) if constant else ()
+
+
+def _crowded(observed: Observed) -> tuple[str, ...]:
+    counts = observed.counts.sum(axis=0)
+    shares = counts.max(axis=-1) / counts.sum(axis=-1)
+    found = zip(observed.channels, shares, strict=True)
+    crowded = [f"{name} ({share:.1%})" for name, share in found if CROWDED < share < 1]
+    line = f"nearly all samples lie in one of {counts.shape[-1]} bins, so it tells little: {', '.join(crowded)}"
+    return (line,) if crowded else ()
