@@ -41,15 +41,20 @@ class Case:
         return json.dumps(dataclasses.asdict(self), sort_keys=True)
 
 
-def run(case: Case) -> Result:
-    """Record (or take what was just recorded), infer, compare with the truth; where it fails, `failed` says why."""
+def run(case: Case, threads: int = 0) -> Result:
+    """Record (or take what was just recorded), infer, compare with the truth; where it fails, `failed` says why.
+
+    Args:
+      case: which.
+      threads: of the inference, 0 for all processors; the result does not depend on it.
+    """
     try:
-        return {"code": versions()["tcbi"], **_run(case)}
+        return {"code": versions()["tcbi"], **_run(case, threads)}
     except TcbiError as e:
         return {"code": versions()["tcbi"], "case": json.loads(case.key()), "cpu_s": 0.0, "failed": str(e)}
 
 
-def _run(case: Case) -> Result:
+def _run(case: Case, threads: int) -> Result:
     values, rollouts = recorded(case.source, case.task, case.truth, case.rollouts, case.duration, case.noise)
     began, cpu = time.perf_counter(), time.process_time()
     method = find_method(case.method)
@@ -57,6 +62,7 @@ def _run(case: Case) -> Result:
         base_model(RIG),
         rollouts,
         statistics=method.statistics,
+        threads=threads,
         seed=INFERENCES + case.truth,
         bins=case.bins,
     )

@@ -15,9 +15,11 @@ what is there already of the same code is not run again, so a stopped run goes o
 """
 
 import argparse
+import functools
 import itertools
 import json
 import multiprocessing
+import os
 import re
 import sys
 import time
@@ -28,6 +30,7 @@ from figures import figures
 from jobs import Case, Result, run
 from truths import POLICIES
 
+from tcbi_infer.divergence import LEAST_BINS
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_sim.ray_workers import versions
 
@@ -131,8 +134,9 @@ def _run_all(left: list[Case], workers: int) -> Iterator[Result]:
     if workers == 1:
         yield from map(run, left)
         return
+    shared = functools.partial(run, threads=max(1, len(os.sched_getaffinity(0)) // workers))
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        yield from pool.imap(run, left, chunksize=1)
+        yield from pool.imap(shared, left, chunksize=1)
 
 
 def main() -> int:
@@ -162,6 +166,8 @@ def main() -> int:
         vars(options).update(QUICK)
     if options.rollouts < 2:
         raise SystemExit(f"--rollouts {options.rollouts}: allowed is 2 or more, one of each of two policies")
+    if options.bins < LEAST_BINS:
+        raise SystemExit(f"--bins {options.bins}: allowed is {LEAST_BINS} or more, two of them tails")
     if options.figures:
         there = kept(options.figures)
         found = of_code(there, there[-1].get("code", "") if there else "")
