@@ -136,6 +136,7 @@ def run_inference(job: Job, emit: Emit) -> None:
         **({"generations": job.generations} if job.generations else {}),
     )
     if job.model == LATEST and (newest := store.load(LATEST, model.rig).version) != model.version:
+        result.forget_state()
         emit("superseded", model=newest)  # a child of the older version would hide what somebody has added since
         return
     saved = posterior.save(store, result)

@@ -92,8 +92,7 @@ def save(store: ModelStore, result: Result) -> Model:
     """
     saved = store.save(result.updated_model())
     write(store.models / saved.version / "posterior.nc", result)
-    if result.state is not None:
-        result.state.unlink(missing_ok=True)
+    result.forget_state()
     return saved
 
 

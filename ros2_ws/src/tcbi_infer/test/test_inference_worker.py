@@ -157,6 +157,7 @@ def test_a_version_that_was_made_meanwhile_is_not_hidden_by_a_child_of_the_one_b
     run_inference(job(bags, tmp_path, model="latest", generations=1), lambda event, **c: events.append((event, c)))
     assert events[-1] == ("superseded", {"model": "servo_bench-v1"})
     assert store.load("latest", "servo_bench").effects == ("command_latency",)
+    assert not list(store.folder("runs").glob("*/state.npz")), "nobody goes on from it"
 
 
 def test_a_reference_of_another_rig_is_passed_over_for_the_model_itself(bags: Path, tmp_path: Path) -> None:

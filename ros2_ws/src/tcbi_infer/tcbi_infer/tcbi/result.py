@@ -90,6 +90,11 @@ class Result:
         rng = np.random.default_rng(seed)
         return self.particles[rng.permutation(resample(rng, np.exp(self.log_weights), count))]
 
+    def forget_state(self) -> None:
+        """Remove the state from which an interrupted inference goes on."""
+        if self.state is not None:
+            self.state.unlink(missing_ok=True)
+
     def updated_model(self) -> Model:
         """An unsaved child of the model whose particles are the posterior, with the evidence that made it."""
         seen = [] if self.prior is None else self.model.fit.rollouts
