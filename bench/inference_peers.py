@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from calibration.truths import RIG, recorded
+from calibration.truths import INFERENCES, RIG, recorded
 from peers.inference import PEERS, Belief, with_tcbi
 
 from tcbi_bringup.commands.bench import figure
@@ -55,11 +55,12 @@ class Case:
 def run(case: Case) -> Result:
     """Everybody's beliefs about one robot."""
     values, measured = recorded("model", case.task, case.truth, case.rollouts, case.duration)
-    problem = Problem.of(base_model(RIG), measured, seed=case.truth)
-    own = with_tcbi(problem, case.truth, case.generations)
+    seed = INFERENCES + case.truth
+    problem = Problem.of(base_model(RIG), measured, seed=seed)
+    own = with_tcbi(problem, seed, case.generations)
     found = {"tcbi": own}
     for name in case.peers:
-        found[name] = PEERS[name](problem, case.truth, PATIENCE * own[-1].wall_s)
+        found[name] = PEERS[name](problem, seed, PATIENCE * own[-1].wall_s)
         print(f"truth {case.truth}: {name}, {len(found[name])} rounds", file=sys.stderr)
     unit = problem.model.to_unit(values)
     return {

@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 import numpy as np
-from truths import RIG, recorded
+from truths import INFERENCES, RIG, recorded
 
 from tcbi_contract.errors import TcbiError
 from tcbi_infer.tcbi.driver import infer
@@ -17,7 +17,6 @@ from tcbi_sim.model import base_model
 from tcbi_sim.ray_workers import versions
 
 Result = dict[str, Any]
-INFERENCES = 10**6  # seeds of inferences lie beyond those of truths, whose draws they must not share
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,6 +19,7 @@ from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import multiply
 
 RIG = "hexapod"
+INFERENCES = 10**6  # seeds of inferences lie beyond those of truths, whose draws they must not share
 FINE_STEP = 0.002  # s, of the model as truth; an inference takes 0.005
 POLICIES = {"balance": ("balance", "gait:steps"), "forward": ("forward", "gait:tripod")}  # in turn
 

@@ -1,8 +1,9 @@
 """pyABC and sbi at the inference that TCBI does, each in its own way: what it believes, and after how many seconds.
 
 Both get this project's simulator, with all recorded rollouts of one robot in a call: pyABC calls it for one particle at
-a time, in two processes, and compares trajectories by a norm that adapts to them; sbi draws simulations for rounds of
-neural posterior estimation (NPE, its sequential form) and learns from BayesSim's summary of the rollouts.
+a time, in two processes that seed themselves (no two runs are alike), and compares trajectories by a norm that adapts
+to them; sbi draws simulations for rounds of neural posterior estimation (NPE, its sequential form) and learns from
+BayesSim's summary of the rollouts.
 """
 
 import contextlib
@@ -54,7 +55,7 @@ def with_pyabc(problem: Problem, seed: int, budget_s: float) -> list[Belief]:
     import pyabc
 
     logging.getLogger("ABC").setLevel(logging.ERROR)
-    np.random.seed(seed)  # what pyABC draws from
+    np.random.seed(seed)  # what pyABC draws from outside its processes
     problem = dataclasses.replace(problem, threads=1)
     names = problem.model.names
 
