@@ -165,6 +165,18 @@ def test_a_channel_whose_divergence_is_finite_nowhere_is_named_and_the_model_not
         calibrated.step(np.random.default_rng(0), calibrated.init(1), spoilt, both, settings)
 
 
+def test_a_channel_whose_noise_floor_is_not_finite_is_named() -> None:
+    class Endless(JensenShannon):
+        def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            noise, freedom = super().noise(real, simulated)
+            return np.full_like(noise, np.inf), freedom
+
+    observed, simulate, _ = normal_problem(0.5, 0)
+    settings, state = calibrated.CalibratedSettings(particles=40), calibrated.init(1)
+    with pytest.raises(InferError, match="the divergence of x/x is not finite"):
+        calibrated.step(np.random.default_rng(0), state, simulate, observed._replace(measure=Endless()), settings)
+
+
 def test_a_simulation_whose_divergence_is_not_finite_weighs_nothing() -> None:
     observed, simulate, _ = normal_problem(0.5, 0)
 

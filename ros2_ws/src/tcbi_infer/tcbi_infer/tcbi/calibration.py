@@ -61,7 +61,7 @@ def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usabl
         each = [observed.measure.noise(observed.counts, counts[b]) for b in best]
         noise, freedom = np.mean(each, axis=0)
         if not np.isfinite(noise).all():
-            raise InferError(not_finite([observed.channels[c] for c in np.flatnonzero(~np.isfinite(noise))]))
+            raise InferError(not_finite(observed.channels, ~np.isfinite(noise)))
         found = Floors(noise, freedom, divergence[best].min(axis=0))
     return found
 

@@ -97,13 +97,14 @@ def weighable(features: Features, channels: Sequence[str]) -> np.ndarray:
             "narrow the parameters' bounds or lower the time step"
         )
     shares = np.mean(~finite[features.valid], axis=0)
-    raise InferError(not_finite([channels[c] for c in np.flatnonzero(shares == shares.max())]))
+    raise InferError(not_finite(channels, shares == shares.max()))
 
 
-def not_finite(channels: Sequence[str]) -> str:
-    """A line for channels of which no divergence is to be had."""
+def not_finite(channels: Sequence[str], which: np.ndarray) -> str:
+    """A line for those of C channels, by (C,) bool, of which no divergence is to be had."""
+    names = [name for name, lacking in zip(channels, which, strict=True) if lacking]
     return (
-        f"the divergence of {some(channels)} is not finite, so no simulation can be weighed; if it is your own, mend "
+        f"the divergence of {some(names)} is not finite, so no simulation can be weighed; if it is your own, mend "
         "it (samples may be all equal, or missing), else take another one or leave the statistic out"
     )
 
