@@ -1,10 +1,12 @@
 """What is said of a posterior at a bound: that the model is wrong only where it fits poorly."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from tcbi_infer.tcbi.method import Generation
-from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, estimates, misfits, piled
+from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, estimates, goodness_of_fit, piled
 from tcbi_sim.parameter import Parameter
 
 GAP = Parameter("gap", "rad", 0.0, 0.1, 0.03, null=0.0)
@@ -19,9 +21,14 @@ def last(misfit: float | None) -> Generation:
     return Generation(40.0, 0.5, np.zeros(1), notes)
 
 
+def told(*args: Any) -> tuple[list[str], bool | None]:
+    """What is said of a fit, and whether it is one."""
+    return goodness_of_fit(*args)[:2]
+
+
 @pytest.mark.parametrize("misfit", [0.1, None])
 def test_a_posterior_at_a_bound_that_fits_well_is_no_sign_of_a_wrong_model(misfit: float | None) -> None:
-    assert misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(misfit), None) == ([], True)
+    assert told((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(misfit), None) == ([], True)
     assert piled((GAP, MASS), AT_BOUND, EQUAL, last(misfit)) == [
         "the posterior of gap piles up at its low end, 0 rad, where the effect is absent"
     ]
@@ -33,7 +40,7 @@ def test_a_bound_that_is_not_the_null_value_may_cut_the_posterior_off() -> None:
 
 
 def test_a_posterior_at_a_bound_that_fits_poorly_says_that_the_prior_seems_to_exclude_the_data() -> None:
-    (line,), fits = misfits((MASS, GAP), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1))
+    (line,), fits = told((MASS, GAP), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1))
     assert fits is False
     assert line.startswith("the prior of mass seems to exclude the data: what fits best lies at its low end, 0.5 kg")
     assert piled((MASS, GAP), AT_BOUND, EQUAL, last(2.0)) == []
@@ -47,7 +54,7 @@ def best_at(gap: float, mass: float, prior: tuple[float, float]) -> list[str]:
     draws = np.clip(np.random.default_rng(0).normal(prior, 0.01, (4000, 2)), 0, 1)
     poor = last(2.0)
     poor.notes["best"] = [[gap, mass]] * 5
-    return misfits((GAP, MASS), INSIDE, EQUAL, ["x"], poor, last(2.1), draws)[0]
+    return told((GAP, MASS), INSIDE, EQUAL, ["x"], poor, last(2.1), draws)[0]
 
 
 def test_a_versions_prior_excludes_the_data_where_the_best_lie_beyond_what_it_expects() -> None:
@@ -69,7 +76,7 @@ def test_where_a_versions_prior_reaches_an_end_the_range_may_still_exclude_the_d
 
 
 def test_an_effect_that_is_absent_is_told_so_and_no_wider_prior_is_asked_for() -> None:
-    assert misfits((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1)) == ([], True)
+    assert told((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1)) == ([], True)
     assert "where the effect is absent" in piled((GAP, MASS), AT_BOUND, EQUAL, last(2.0))[0]
 
 
@@ -84,7 +91,7 @@ def test_a_search_that_still_finds_better_fits_cannot_tell_whether_the_model_fit
     misfit: float, before: float | None
 ) -> None:
     earlier = None if before is None else last(before * misfit)
-    (line,), fits = misfits((MASS, GAP), AT_BOUND, EQUAL, ["x"], last(misfit), earlier)
+    (line,), fits = told((MASS, GAP), AT_BOUND, EQUAL, ["x"], last(misfit), earlier)
     assert fits is None
     assert line.startswith("too few particles or generations to tell whether the model fits") and "effect" not in line
 
@@ -94,9 +101,9 @@ def test_what_has_stopped_falling_is_said_whatever_else_still_falls() -> None:
         return Generation(40.0, 0.5, np.zeros(2), {"floor_noise": [1.0, 1.0], "floor_misfit": [first, second]})
 
     inside = np.full((40, 2), 0.5)
-    (line,), fits = misfits((GAP, MASS), inside, EQUAL, ["x", "y"], both(9.0, 6.0), both(9.5, 12.0))
+    (line,), fits = told((GAP, MASS), inside, EQUAL, ["x", "y"], both(9.0, 6.0), both(9.5, 12.0))
     assert fits is False and line.startswith("no parameters reproduce x: what remains of its divergence is 9 times")
-    assert misfits((GAP, MASS), inside, EQUAL, ["x", "y"], both(1.0, 3.0), both(9.5, 12.0)) == ([], True)
+    assert told((GAP, MASS), inside, EQUAL, ["x", "y"], both(1.0, 3.0), both(9.5, 12.0)) == ([], True)
 
 
 def test_one_channel_that_nothing_reproduces_is_said_though_its_statistic_fits_in_the_mean() -> None:
@@ -105,14 +112,14 @@ def test_one_channel_that_nothing_reproduces_is_said_though_its_statistic_fits_i
         return Generation(40.0, 0.5, np.zeros(1), notes)
 
     fine, inside = {f"x/{i}": 0.9 for i in range(17)}, np.full((40, 2), 0.5)
-    (line,), fits = misfits((GAP, MASS), inside, EQUAL, ["x"], one_of(fine | {"x/knee": 8.0}), one_of({"x/knee": 8.1}))
+    (line,), fits = told((GAP, MASS), inside, EQUAL, ["x"], one_of(fine | {"x/knee": 8.0}), one_of({"x/knee": 8.1}))
     assert fits is False and line.startswith(
         "no parameters reproduce x/knee: what remains of its divergence is 8 times"
     )
-    (line,), fits = misfits((GAP, MASS), inside, EQUAL, ["x"], one_of(fine | {"x/knee": 8.0}), one_of({"x/knee": 16.0}))
+    (line,), fits = told((GAP, MASS), inside, EQUAL, ["x"], one_of(fine | {"x/knee": 8.0}), one_of({"x/knee": 16.0}))
     assert fits is None and "x/knee" in line
     all_fine = one_of(fine | {"x/knee": 5.0})
-    assert misfits((GAP, MASS), inside, EQUAL, ["x"], all_fine, all_fine) == ([], True)
+    assert told((GAP, MASS), inside, EQUAL, ["x"], all_fine, all_fine) == ([], True)
 
 
 @pytest.mark.parametrize("count", [10, 20])

@@ -25,15 +25,15 @@ from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.pooled import JS
+from tcbi_infer.tcbi.predictive import departures
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import (
     Result,
     estimates,
-    misfits,
+    goodness_of_fit,
     piled,
     prior_variances,
     unfinished,
-    worst_misfit,
 )
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 from tcbi_sim.engine import SimError
@@ -294,12 +294,14 @@ class _Loop:
         unit, log_weights = unit[kept], _log_shares(log_weights[kept])
         last = self._last_generation()
         before = self._generation_before()
-        wrong, fits = misfits(model.parameters, unit, log_weights, self.statistics, last, before, self.known)
+        departed = departures(problem, unit, log_weights) if self.method.judges else {}
+        wrong, fits, distrust = goodness_of_fit(
+            model.parameters, unit, log_weights, self.statistics, last, before, self.known, departed
+        )
         history = list(self.history)
-        if fits is False and self.method.distrusted is not None:
-            ratio = worst_misfit(last)
-            log_weights = _log_shares(self.method.distrusted(self.state, ratio)[kept])
-            history[-1] = {**history[-1], "alpha": last.alpha / ratio, **self._moments(unit, log_weights)}
+        if distrust > 1 and self.method.distrusted is not None:
+            log_weights = _log_shares(self.method.distrusted(self.state, distrust)[kept])
+            history[-1] = {**history[-1], "alpha": last.alpha / distrust, **self._moments(unit, log_weights)}
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged or fits is False else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):

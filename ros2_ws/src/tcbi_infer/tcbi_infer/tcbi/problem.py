@@ -160,6 +160,11 @@ class Problem:
         """Whether a policy acts on the simulated robot."""
         return any(c is not None for c in self.controllers)
 
+    @property
+    def open_loop(self) -> "Problem":
+        """The same, but with the recorded commands in all rollouts."""
+        return dataclasses.replace(self, controllers=(None,) * len(self.groups))
+
     @functools.cached_property
     def readings_noise(self) -> Noise:
         """The sensors' noise as far as the real readings keep it on their time grids."""

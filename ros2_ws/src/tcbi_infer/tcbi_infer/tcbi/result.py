@@ -20,10 +20,12 @@ EDGE = 0.02  # share of the range that counts as a bound
 PILED = 0.5  # share of the posterior at a bound that is worth a line
 MISFIT = 4.0  # remaining divergence over noise, in the mean of a statistic's channels, that is worth a warning
 MISFIT_OF_ONE = 6.0  # the same of a single channel
+DEPARTED = 2.5  # times as far from the nearest prediction as predictions from each other: the same
 NEAR = 0.05  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
 UNLIKELY = 0.05  # share of a prior that is not flat, beyond which they lie where that prior may be in the way
 POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
 FALLING = 0.1  # share by which that ratio falls in a generation, from which more of them may still mend it
+WIDENED = "the posterior is widened for it, and an effect may be missing (tcbi diagnose)"
 UNTOLD = (
     "too few particles or generations to tell whether the model fits: more of them may still lower what remains of the "
     "divergence of {}"
@@ -181,7 +183,15 @@ def _variance_bound(unit: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return variance * size / (2.0 * gammaincinv((size - 1) / 2.0, 0.05))  # quantile of chi-squared
 
 
-def misfits(
+class GoodnessOfFit(NamedTuple):
+    """How well the model fits."""
+
+    lines: list[str]  # one for each reason to doubt it
+    fits: bool | None  # None: the search was too short to tell
+    distrust: float  # how many times less the data's say should count for it, 1 where nothing is wrong
+
+
+def goodness_of_fit(
     parameters: Sequence[Parameter],
     unit: np.ndarray,
     log_weights: np.ndarray,
@@ -189,8 +199,9 @@ def misfits(
     last: Generation,
     before: Generation | None,
     prior: np.ndarray | None = None,
-) -> tuple[list[str], bool | None]:
-    """A line for each reason to doubt that the model fits, and whether it does; None: the search was too short to tell.
+    departed: Mapping[str, float] | None = None,
+) -> GoodnessOfFit:
+    """Whether the model fits, by what remains of its divergences and by its predictions.
 
     Args:
       parameters: P.
@@ -200,6 +211,7 @@ def misfits(
       last: generation.
       before: the generation before it, None if there was none.
       prior: (N, P) draws of it in [0, 1], None for flat.
+      departed: of `predictive.departures`.
     """
     ratios, single = dict(zip(statistics, _misfit_ratios(last), strict=False)), last.notes.get("misfit", {})
     earlier = {} if before is None else dict(zip(statistics, _misfit_ratios(before), strict=False))
@@ -213,17 +225,24 @@ def misfits(
     ]
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
+    far = {name: ratio for name, ratio in (departed or {}).items() if ratio > DEPARTED}
     lines = bounds if poor.keys() - falling else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
-        "the posterior is widened for it, and an effect may be missing (tcbi diagnose)"
+        f"{WIDENED}"
         for name, ratio in large.items()
         if name not in falling
     ]
     untold = [name for name in (large | poor if bounds else large) if name in falling]
-    if lines or not untold:
-        return lines, not lines
-    return [UNTOLD.format(", ".join(untold))], None
+    if untold and not lines:
+        return GoodnessOfFit([UNTOLD.format(", ".join(untold))], None, 1.0)
+    distrust = worst_misfit(last) if lines else 1.0
+    lines += [
+        f"no parameters reproduce {name} in time: the robot lies {ratio:.1f} times as far from the posterior's nearest "
+        f"prediction as its predictions lie from each other; {WIDENED}"
+        for name, ratio in far.items()
+    ]
+    return GoodnessOfFit(lines, not lines, max([1.0, distrust, *(ratio**2 for ratio in far.values())]))
 
 
 def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> dict[str, str]:

@@ -1,0 +1,49 @@
+"""Where histograms agree and motions do not, the model is called wrong."""
+
+import numpy as np
+import pytest
+from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
+
+from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.predictive import departures
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.result import DEPARTED
+from tcbi_sim.model import base_model
+
+BENCH = base_model("servo_bench")
+TORQUE = {"effects": ("torque_saturation",), "unit": (*BENCH_TRUTH, 0.2)}
+
+
+def around(unit: tuple[float, ...], spread: float, count: int = 48) -> np.ndarray:
+    """(count, P) particles around one, in the unit cube."""
+    return np.clip(np.random.default_rng(0).normal(unit, spread, (count, len(unit))), 0.0, 1.0)
+
+
+@pytest.mark.parametrize("spread", [0.02, 0.1])
+def test_a_motion_like_the_draws_lies_as_far_from_them_as_they_do_and_a_late_one_further(spread: float) -> None:
+    draws, equal = around(BENCH_TRUTH, spread), np.zeros(48)
+    nothing = [Problem.of(BENCH, bench_rollouts(seed=seed)[1]) for seed in range(3)]
+    assert np.median([departures(p, draws, equal)["joint positions"] for p in nothing]) < 1.5
+    late = bench_rollouts((*BENCH_TRUTH, 0.6), effects=("command_latency",))[1]
+    assert departures(Problem.of(BENCH, late), draws, equal)["joint positions"] > DEPARTED
+
+
+def test_a_robot_with_an_attitude_is_followed_in_it_too_and_few_draws_say_nothing() -> None:
+    problem = Problem.of(base_model("hexapod"), hexapod_rollouts("balance"), timestep=0.01)
+    draws = around((0.5, 0.5, 0.5), 0.1, count=12)
+    assert set(departures(problem, draws, np.zeros(12))) == {"joint positions", "roll and pitch"}
+    assert departures(problem, draws, np.r_[0.0, np.full(11, -40.0)]) == {}
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_torque_limit_that_looks_like_a_soft_servo_is_no_fit_and_its_gain_is_not_told(seed: int) -> None:
+    """By its histograms the model fits, with a gain far below the true one."""
+    found = infer(Problem.of(BENCH, bench_rollouts(seed=seed, **TORQUE)[1]), seed=0)
+    assert found.fits is False and not any(e.identified for e in found.estimates)
+    assert any("no parameters reproduce joint positions in time" in line for line in found.warnings)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_without_it_the_model_fits_and_tells_the_gain(seed: int) -> None:
+    found = infer(Problem.of(BENCH, bench_rollouts(seed=seed)[1]), seed=0)
+    assert found.fits is True and found.estimates[0].identified
