@@ -38,7 +38,7 @@ def test_a_robot_with_an_attitude_is_followed_in_it_too_and_few_draws_say_nothin
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_torque_limit_that_looks_like_a_soft_servo_is_no_fit_and_its_gain_is_not_told(seed: int) -> None:
     """By its histograms the model fits, with a gain far below the true one."""
-    found = infer(Problem.of(BENCH, bench_rollouts(seed=seed, **TORQUE)[1]), seed=0)
+    found = infer(Problem.of(BENCH, bench_rollouts(seed=seed, duration=4.0, **TORQUE)[1]), seed=0)
     assert found.fits is False and not any(e.identified for e in found.estimates)
     assert any("no parameters reproduce joint positions in time" in line for line in found.warnings)
 
