@@ -15,11 +15,10 @@ from tcbi_infer.diagnose.starts import start_points
 from tcbi_sim.model import Model
 
 RIVAL_SIZES = (0.08, 0.16, 0.3, 0.5)  # of an effect's range
-RIVAL = 1 / 2  # of what the best effect explains of a few sets: one that explains as much in its place is worth a fit,
-# if it explains more than the base model's own fit does without it
+RIVAL = 1 / 2  # of what the best effect explains of a few sets: one that explains as much in its place is worth a fit
 LEAST_WORTH = 10.0  # nats: who explains less has no rivals to look for
-HOPELESS = 0.2  # of the best candidate's gain: one that gains less with coarse steps gets no fine ones,
-UNPROMISING = 0.1  # and one that starts with less on a few sets no coarse ones
+HOPELESS = 0.2  # of the best candidate's gain over the base model's own fit: one that gains less with coarse steps gets
+# no fine ones, and one that starts with less on a few sets, in the best one's place or its own, no coarse ones
 Fits = dict[int, tuple[Fit, Fit]]  # of a use, by its number: with coarse and with fine steps
 Progress = Callable[[str, float], None]  # stage, share done
 
@@ -111,7 +110,7 @@ class Search:
         a nuisance: the leader was fitted with it.
 
         Returns:
-          Uses, each with (n, P) starts: the one that explains most, and those of any fit.
+          Uses, each with the (1, P) start that explains most.
         """
         if not (fits and self.settings.rivals):
             return {}
@@ -123,7 +122,7 @@ class Search:
         (with_it,) = self._losses_on_few(best.model, best.unit, best.nuisance, best.scatter)
         if without - with_it < LEAST_WORTH:
             return {}
-        most = min(own, without - RIVAL * (without - with_it))
+        most = min(own - HOPELESS * max(own - with_it, 0.0), without - RIVAL * (without - with_it))
         scatter = {f"gain_scatter:{joint}" for joint in self.base.scatter.names}
         explained: dict[int, tuple[float, np.ndarray]] = {}
         for u, model in enumerate(self.screen.directions.models):
@@ -134,9 +133,9 @@ class Search:
             losses = self._losses_on_few(model, starts, best.nuisance, best.scatter)
             i = int(np.argmin(losses))
             if losses[i] < most:
-                explained[u] = losses[i], starts[i][None]
+                explained[u] = losses[i], starts[i]
         nearest = sorted(explained, key=lambda u: explained[u][0])[: self.settings.per_effect]
-        return {u: np.concatenate([explained[u][1], self._starts(u)]) for u in nearest}
+        return {u: explained[u][1][None] for u in nearest}
 
     def fit(
         self, uses: Collection[int] | Mapping[int, np.ndarray], shares: tuple[float, float], others: Fits | None = None
@@ -182,7 +181,7 @@ class Search:
 
         gains = {u: gain(self.screen.directions.models[u], units) for u, units in starts.items()}
         best = max([*gains.values(), *(gain(rough.model, rough.unit) for rough, _ in others.values())], default=0.0)
-        return [u for u, nats in gains.items() if nats >= UNPROMISING * best or best < LEAST_WORTH]
+        return [u for u, nats in gains.items() if nats >= HOPELESS * best or best < LEAST_WORTH]
 
     def _losses_on_few(
         self, model: Model, units: np.ndarray, nuisance: np.ndarray, scatter: Nuisance | None = None
