@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
 
+from tcbi_infer.tcbi import driver, problem
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.predictive import departures
 from tcbi_infer.tcbi.problem import Problem
@@ -29,10 +30,32 @@ def test_a_motion_like_the_draws_lies_as_far_from_them_as_they_do_and_a_late_one
 
 
 def test_a_robot_with_an_attitude_is_followed_in_it_too_and_few_draws_say_nothing() -> None:
-    problem = Problem.of(base_model("hexapod"), hexapod_rollouts("balance"), timestep=0.01)
+    robot = Problem.of(base_model("hexapod"), hexapod_rollouts("balance"), timestep=0.01)
     draws = around((0.5, 0.5, 0.5), 0.1, count=12)
-    assert set(departures(problem, draws, np.zeros(12))) == {"joint positions", "roll and pitch"}
-    assert departures(problem, draws, np.r_[0.0, np.full(11, -40.0)]) == {}
+    assert set(departures(robot, draws, np.zeros(12))) == {"joint positions", "roll and pitch"}
+    assert departures(robot, draws, np.r_[0.0, np.full(11, -40.0)]) == {}
+
+
+def test_it_takes_no_more_memory_than_a_generation_and_says_the_same_in_parts(monkeypatch) -> None:
+    draws, whole = around(BENCH_TRUTH, 0.1), Problem.of(BENCH, bench_rollouts()[1])
+    told, asked = departures(whole, draws, np.zeros(48)), []
+    rollouts = Problem.rollouts
+    monkeypatch.setattr(Problem, "rollouts", lambda self, unit: asked.append(len(unit)) or rollouts(self, unit))
+    monkeypatch.setattr(problem, "CHUNK_VALUES", 1e5)
+    assert departures(whole, draws, np.zeros(48)) == told
+    assert sum(asked) == 48 and max(asked) < 10
+
+
+def test_ctrl_c_while_it_replays_stops_as_at_any_time(tmp_path, monkeypatch) -> None:
+    def pressed(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    rollouts = bench_rollouts()[1]
+    monkeypatch.setattr(driver, "departures", pressed)
+    with pytest.raises(driver.Interrupted, match="the same command goes on"):
+        infer(Problem.of(BENCH, rollouts, timestep=0.01), folder=tmp_path, particles=20, generations=2)
+    monkeypatch.undo()
+    assert infer(Problem.of(BENCH, rollouts, timestep=0.01), folder=tmp_path, particles=20, generations=2).estimates
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -122,6 +122,19 @@ def test_one_channel_that_nothing_reproduces_is_said_though_its_statistic_fits_i
     assert told((GAP, MASS), inside, EQUAL, ["x"], all_fine, all_fine) == ([], True)
 
 
+def test_a_motion_that_no_draw_makes_is_no_fit_and_the_data_count_less_for_it() -> None:
+    def judged(ratio: float, misfit: float = 1.0, before: float = 1.0) -> tuple[list[str], bool | None, float]:
+        both = last(misfit), last(before)
+        return goodness_of_fit((GAP, MASS), INSIDE, EQUAL, ["x"], *both, None, {"joint positions": ratio})
+
+    assert judged(2.9) == ([], True, 1.0)
+    (line,), fits, distrust = judged(4.0)
+    assert fits is False and distrust == 16.0
+    assert line.startswith("no parameters reproduce joint positions in time: the robot lies 4.0 times as far")
+    assert judged(4.0, 9.0, 9.1)[2] == 16.0 and judged(2.9, 9.0, 9.1)[2] == 9.0
+    assert judged(4.0, 9.0, 20.0)[1] is None, "a search that still finds better fits comes first"
+
+
 @pytest.mark.parametrize("count", [10, 20])
 def test_a_parameter_that_is_not_told_is_called_told_in_one_of_twenty_at_most(count: int) -> None:
     """Posteriors at the limit, of normal shape: of `count` particles; above 6.5 % of 1500 by chance in 1 of 250."""

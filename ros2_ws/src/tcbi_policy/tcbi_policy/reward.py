@@ -224,7 +224,7 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
     previous = np.zeros(commands.target.shape[1]) if start is None else np.asarray(start, float)
     attitude = measurement.attitude[rows]
     moved = None
-    if measurement.position is not None and _tracked_to_the_end(measurement, rows):
+    if measurement.position is not None and _tracked_at_both_ends(measurement, rows):
         moved = progress(measurement.position[rows], measurement.scenario.initial_yaw)
     missing = tuple(t for t in terms if moved is None and (t.name == DISTANCE or needs_position(t)))
     known = tuple(term for term in terms if term not in missing)
@@ -235,7 +235,7 @@ def episode_reward(measurement: Measurement) -> EpisodeReward:
     return EpisodeReward(np.full(len(commands.time), np.nan), float(steps.sum() + end))
 
 
-def _tracked_to_the_end(measurement: Measurement, rows: np.ndarray) -> bool:
+def _tracked_at_both_ends(measurement: Measurement, rows: np.ndarray) -> bool:
     """Whether a tracker saw the robot at the first and the last of the samples `rows`, between which it walked."""
     assert measurement.position is not None
     ends = rows[[0, -1]]

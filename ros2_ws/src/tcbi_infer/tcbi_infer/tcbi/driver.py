@@ -98,7 +98,7 @@ def infer(
     loop = _Loop(problem, chosen, given, seed, place, watch)
     with _stopping(place):
         loop.run()
-    return loop.result()
+        return loop.result()
 
 
 def settings_of(method: Method, given: Mapping[str, Any]) -> Any:
@@ -171,6 +171,14 @@ def _stopping(place: Path | None) -> Iterator[None]:
         raise Interrupted(f"inference stopped{kept}") from e
 
 
+@contextlib.contextmanager
+def _simulating() -> Iterator[None]:
+    try:
+        yield
+    except SimError as e:
+        raise InferError(f"the simulation cannot run these rollouts: {e}") from e
+
+
 class _Loop:
     """One inference at work."""
 
@@ -225,10 +233,8 @@ class _Loop:
         self._tell(1.0)
 
     def _simulate(self, unit: np.ndarray) -> Any:
-        try:
+        with _simulating():
             return self.problem.simulate(unit, self._tell, self.method.view)
-        except SimError as e:
-            raise InferError(f"the simulation cannot run these rollouts: {e}") from e
 
     def _told(self, found: Generation) -> Generation:
         """A generation with its best particles where the posterior's are: in the parameters' unit cube."""
@@ -294,7 +300,8 @@ class _Loop:
         unit, log_weights = unit[kept], _log_shares(log_weights[kept])
         last = self._last_generation()
         before = self._generation_before()
-        departed = departures(problem, unit, log_weights) if self.method.judges else {}
+        with _simulating():
+            departed = departures(problem, unit, log_weights) if self.method.judges else {}
         wrong, fits, distrust = goodness_of_fit(
             model.parameters, unit, log_weights, self.statistics, last, before, self.known, departed
         )

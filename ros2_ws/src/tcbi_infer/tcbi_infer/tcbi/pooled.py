@@ -8,6 +8,7 @@
 samples: each histogram stands for `POINTS` samples, evenly spaced in its cumulative distribution.
 """
 
+import abc
 import functools
 from collections.abc import Sequence
 from typing import Protocol
@@ -54,7 +55,7 @@ class JensenShannon:
         return np.maximum(expected, least), freedom
 
 
-class _Signed:
+class _Signed(abc.ABC):
     """A divergence whose noise floor has no closed form: it is the mean over residuals with random signs."""
 
     particles = 300
@@ -63,9 +64,9 @@ class _Signed:
         """Of the real rollouts' (U, C, B) counts."""
         self._pooled = counts.sum(axis=0)
 
+    @abc.abstractmethod
     def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
         """(..., C, B) and (M, ..., C, B) counts -> (M, ..., C)."""
-        raise NotImplementedError
 
     def noise(self, real: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Expected (C,), no less than of independent samples, and its degrees of freedom (C,) by its variance."""

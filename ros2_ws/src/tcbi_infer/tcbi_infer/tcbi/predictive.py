@@ -7,13 +7,34 @@ posterior predictive check (Gelman, Meng and Stern 1996) by nearest neighbours: 
 that none of its draws has.
 """
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import numpy as np
 
+from tcbi_infer.statistics import RolloutArrays
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.weights import normalised, resample
 
 DRAWS = 48  # of the posterior: about a generation's simulations
 LEAST_DRAWS = 8  # different ones, of which less is no measure of how far apart they lie
+
+
+class _Traces(NamedTuple):
+    """How far N simulations lie from the robot, group by group; rad, float32 (a rollout of 30 s has many samples)."""
+
+    joint_position: tuple[np.ndarray, ...]  # (N, S, T, J) each
+    roll_pitch: tuple[np.ndarray, ...]  # (N, S, T, 2) each; none where an attitude was not measured
+    valid: np.ndarray  # (N,) bool, False where the simulation diverged
+
+    def join(self, other: "_Traces") -> "_Traces":
+        """Both sets of particles, these first."""
+        joints = zip(self.joint_position, other.joint_position, strict=True)
+        tilts = zip(self.roll_pitch, other.roll_pitch, strict=True)
+        return _Traces(
+            tuple(map(np.concatenate, joints)), tuple(map(np.concatenate, tilts)),
+            np.concatenate([self.valid, other.valid]),
+        )  # fmt: skip
 
 
 def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> dict[str, float]:
@@ -29,27 +50,37 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> d
       of the draws': about 1 where nothing is wrong. Empty if fewer than `LEAST_DRAWS` simulations end well.
     """
     drawn = np.unique(resample(np.random.default_rng(problem.seed), normalised(log_weights), DRAWS))
-    groups, valid = problem.open_loop.rollouts(unit[drawn])
-    if valid.sum() < LEAST_DRAWS:
+    traces: _Traces = problem.open_loop.simulate(unit[drawn], view=_traces)
+    if traces.valid.sum() < LEAST_DRAWS:
         return {}
-    pairs = [(group.arrays, simulated) for group, simulated in zip(problem.groups, groups, strict=True)]
-    signals = {"joint positions": [(real.joint_position, some.joint_position) for real, some in pairs]}
-    if all(real.attitude is not None for real, _ in pairs):
-        signals["roll and pitch"] = [(real.roll_pitch, some.roll_pitch) for real, some in pairs]
-    return {name: _departure([(real, some[valid]) for real, some in both]) for name, both in signals.items()}
+    signals = {"joint positions": traces.joint_position, "roll and pitch": traces.roll_pitch}
+    return {name: _departure(groups, traces.valid) for name, groups in signals.items() if groups}
 
 
-def _departure(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Of (1, S, T, C) measured and (N, S, T, C) simulated signals of each group; 1 where nothing was measured."""
-    draws = len(pairs[0][1])
-    squares = np.zeros((draws + 1, draws + 1))  # of the distances between draws, the robot being the last of them
-    for real, simulated in pairs:
-        everyone = np.concatenate([simulated, real])
-        known = np.isfinite(everyone).all(axis=0)
-        flat = everyone[:, known] - real[:, known]  # small numbers, whose squares keep their digits
-        own = (flat**2).sum(axis=1)
-        squares += own[:, None] + own - 2 * flat @ flat.T
-    np.fill_diagonal(squares, np.inf)
-    nearest = np.sqrt(np.maximum(squares[:, :draws].min(axis=1), 0.0))
-    among = float(np.median(nearest[:draws]))
-    return float(nearest[draws] / among) if among > 0 else 1.0
+def _traces(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> _Traces:
+    """The view of `Problem.simulate`."""
+    pairs = [(simulated, group.arrays) for simulated, group in zip(rollouts, problem.groups, strict=True)]
+    tilted = all(real.attitude is not None for _, real in pairs)
+    joints = ((simulated.joint_position, real.joint_position) for simulated, real in pairs)
+    tilts = ((simulated.roll_pitch, real.roll_pitch) for simulated, real in pairs if tilted)
+    return _Traces(_apart(joints), _apart(tilts), valid)
+
+
+def _apart(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, ...]:
+    return tuple((simulated - real).astype(np.float32) for simulated, real in pairs)
+
+
+def _departure(groups: tuple[np.ndarray, ...], valid: np.ndarray) -> float:
+    """Of (N, S, T, C) differences from the robot in each group, for (N,) bool simulations; 1 where all are equal."""
+    count = int(valid.sum())
+    among, apart = np.zeros((count, count)), np.zeros(count)  # squared distances of the draws, and from the robot
+    for group in groups:
+        for rollout in np.moveaxis(group[valid], 1, 0):
+            flat = rollout.reshape(count, -1).astype(float)
+            flat = flat[:, np.isfinite(flat).all(axis=0)]
+            own = (flat**2).sum(axis=1)
+            apart += own
+            among += own[:, None] + own - 2 * flat @ flat.T
+    np.fill_diagonal(among, np.inf)
+    nearest = float(np.median(np.sqrt(np.maximum(among.min(axis=1), 0.0))))
+    return float(np.sqrt(apart.min())) / nearest if nearest > 0 else 1.0

@@ -162,8 +162,8 @@ class Problem:
 
     @property
     def open_loop(self) -> "Problem":
-        """The same, but with the recorded commands in all rollouts."""
-        return dataclasses.replace(self, controllers=(None,) * len(self.groups))
+        """The same with the recorded commands in all rollouts, for particles in the parameters' unit cube."""
+        return dataclasses.replace(self, controllers=(None,) * len(self.groups), prior=None)
 
     @functools.cached_property
     def readings_noise(self) -> Noise:
