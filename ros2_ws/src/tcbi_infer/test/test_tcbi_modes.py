@@ -41,6 +41,13 @@ def test_an_inference_keeps_both_of_two_symmetric_modes(seed: int) -> None:
     assert said.startswith("2 separate modes, which differ most in u (") and " m, " in said
 
 
+@pytest.mark.parametrize(("share", "count"), [(0.03, 2), (0.001, 1)])
+def test_particles_far_off_that_bear_no_weight_to_speak_of_are_no_mode(share: float, count: int) -> None:
+    z = np.concatenate([np.random.default_rng(0).normal(0.0, 0.1, (60, 1)), np.linspace(2.9, 3.1, 20)[:, None]])
+    weights = np.r_[np.full(60, (1 - share) / 60), np.full(20, share / 20)]
+    assert len(modes(z, weights)) == count
+
+
 def two_modes() -> Model:
     """A quarter of the particles at one gain, the others at another; damping goes along, friction is one normal."""
     model, rng = base_model("servo_bench"), np.random.default_rng(0)

@@ -17,6 +17,7 @@ from tcbi_sim.parameter import Parameter
 VALLEY = 0.2
 BANDWIDTH = 0.5  # of the kernel, times sd / ess^0.2
 FEWEST = 5  # effective particles of a mode
+LEAST_SHARE = 0.01  # of the weight, which a mode bears
 PLACES = 100  # where a density is evaluated
 
 
@@ -46,15 +47,16 @@ def _valley(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
     density = np.exp(-0.5 * ((places[:, None] - values) / width) ** 2) @ w
     peaks = np.minimum(np.maximum.accumulate(density), np.maximum.accumulate(density[::-1])[::-1])
     below = values <= places[:, None]  # (PLACES, M)
-    enough = [min(_ess(w, side), _ess(w, ~side)) >= FEWEST for side in below]
+    enough = [all(_is_mode(w, part) for part in (side, ~side)) for side in below]
     depth = np.where(enough, density / np.maximum(peaks, 1e-300), 1.0)
     k = int(np.argmin(depth))
     return float(depth[k]), float(places[k])
 
 
-def _ess(weights: np.ndarray, chosen: np.ndarray) -> float:
-    total = weights[chosen].sum()
-    return effective_sample_size(weights[chosen] / total) if total > 0 else 0.0
+def _is_mode(weights: np.ndarray, chosen: np.ndarray) -> bool:
+    """Whether a part of the particles could be one; all (M,) weights add up to one."""
+    share = float(weights[chosen].sum())
+    return share >= LEAST_SHARE and effective_sample_size(weights[chosen] / share) >= FEWEST
 
 
 def told(parameters: Sequence[Parameter], unit: np.ndarray, weights: np.ndarray) -> str:
