@@ -174,7 +174,7 @@ def _variance(numbers: list[int], variance: np.ndarray, e: "Estimate") -> str:
 def _finish(axes: Any, numbers: list[int], label: str) -> None:
     axes.set_xticks(numbers[:: max(1, len(numbers) // 8)])
     axes.set_xlabel("generation")
-    axes.set_ylabel(label)
+    axes.set_title(label, loc="left", fontsize="medium")  # beside a figure this low, a unit would be cut off
 
 
 def _labelled(name: str, unit: str) -> str:
