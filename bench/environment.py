@@ -25,7 +25,7 @@ from tcbi_sim.model import base_model
 
 SEED = 1  # of the episodes, the same for all
 SINGLES = 8  # of DummyVecEnv, whose cost is proportional to them
-MANY = 128  # environments, beside as many as the trainings of the preset step: a batch's fixed costs are shared by all
+MANY = 256  # environments, beside as many as the trainings of the preset step: a batch's fixed costs are shared by all
 SETTLE_STEPS = round(1.0 / TIMESTEP_S)
 
 

@@ -155,18 +155,20 @@ def _distance_to_nearest(x: np.ndarray, k: int) -> np.ndarray:
 def wasserstein(real: np.ndarray, simulated: np.ndarray, points: int = 200) -> np.ndarray:
     """First Wasserstein distance, in shares of the real samples' range (so that statistics can be added).
 
-    Where that range is less than `NARROW` of what real and simulated samples span together, as of a statistic that is
-    constant on the robot, it is in shares of `NARROW` of the latter: never above 1 / `NARROW`.
+    The range is that of the bins of `js`, which a few outliers do not stretch. Where it is less than `NARROW` of what
+    range and simulated samples span together, as of a statistic that is constant on the robot, the distance is in
+    shares of `NARROW` of the latter: about 1 / `NARROW` at most.
     """
     finite = _finite(real)
     levels = (np.arange(points) + 0.5) / points
     wanted = np.quantile(finite, levels)
-    least = max(float(np.ptp(finite)), 1e-9 * max(float(np.abs(finite).max()), 1e-3))
+    limits = Binning.of(finite)
+    low, high = limits.low, limits.high
 
     def distance(row: np.ndarray) -> float:
         if not row.size:
             return 1 / NARROW
-        span = max(least, NARROW * float(max(row.max(), finite.max()) - min(row.min(), finite.min())))
+        span = max(high - low, NARROW * (max(row.max(), high) - min(row.min(), low)))
         return float(np.abs(np.quantile(row, levels) - wanted).mean() / span)
 
     return np.array([distance(_finite(row)) for row in simulated])

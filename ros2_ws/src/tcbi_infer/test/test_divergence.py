@@ -87,6 +87,13 @@ def test_wasserstein_of_a_constant_tells_how_much_of_a_simulation_lies_elsewhere
     assert wasserstein(np.full(10, 0.3), np.full((1, 10), 0.1 + 0.2))[0] < 1e-6, "rounding is no distance"
 
 
+def test_one_outlier_of_the_robot_does_not_shrink_the_wasserstein_distance_of_all_others() -> None:
+    real = np.linspace(0.0, 1.0, 400)
+    shifted = real[None] + 0.5
+    spoilt = np.append(real, 1000.0)
+    assert wasserstein(spoilt, shifted)[0] > 0.45 * wasserstein(real, shifted)[0], "the outlier may double the range"
+
+
 def test_wasserstein_of_a_shift_is_the_shift_in_ranges() -> None:
     real = np.linspace(0, 2, 401)
     assert wasserstein(real, real[None] + 0.5)[0] == pytest.approx(0.25)

@@ -177,6 +177,18 @@ def test_a_channel_whose_noise_floor_is_not_finite_is_named() -> None:
         calibrated.step(np.random.default_rng(0), state, simulate, observed._replace(measure=Endless()), settings)
 
 
+def test_a_channel_without_a_finite_divergence_of_resampled_rollouts_is_named() -> None:
+    class OnlyOfAll(JensenShannon):
+        def __call__(self, real: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+            values = super().__call__(real, simulated)
+            return values if real.ndim == 2 else np.full_like(values, np.inf)
+
+    observed, simulate, _ = normal_problem(0.5, 0)
+    settings, state = calibrated.CalibratedSettings(particles=40), calibrated.init(1)
+    with pytest.raises(InferError, match="the divergence of x/x is not finite"):
+        calibrated.step(np.random.default_rng(0), state, simulate, observed._replace(measure=OnlyOfAll()), settings)
+
+
 def test_a_simulation_whose_divergence_is_not_finite_weighs_nothing() -> None:
     observed, simulate, _ = normal_problem(0.5, 0)
 

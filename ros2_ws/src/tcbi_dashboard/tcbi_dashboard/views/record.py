@@ -15,6 +15,7 @@ from tcbi_dashboard.live import Live
 from tcbi_dashboard.torque import NO_LEAVE
 from tcbi_dashboard.workbench import Workbench
 from tcbi_infer.collection import LONGEST_S
+from tcbi_sim.tasks import tasks
 
 GAITS = ["gait:steps", "gait:sinus", "gait:chirp", "gait:squat", "gait:twist", "gait:tripod", "none"]
 SLOPE_DEG = round(math.degrees(SLOPE_LIMIT), 9)
@@ -33,7 +34,8 @@ class RecordCard:
                 soft(NO_LEAVE)
                 return
             with ui.element("div").classes("tcbi-row"):
-                self.task = ui.select(["balance", "forward"], value="balance", label="task")
+                known = list(tasks())
+                self.task = ui.select(known, value=known[0], label="task")
                 self.motion = ui.select(GAITS, value=GAITS[0], label="motion or policy", new_value_mode="add-unique")
                 self.motion.props("use-input")
                 for element in (self.task, self.motion):

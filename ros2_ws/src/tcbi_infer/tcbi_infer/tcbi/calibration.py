@@ -90,6 +90,9 @@ def calibrate(
       z: (M, P) particles, in the space where spread is judged.
       log_base: (M,) log-weights at alpha = 0, -inf for particles that do not count.
       full: (M,) energies with all rollouts.
+
+    Raises:
+      InferError: of some resample no particle has a finite divergence.
     """
     order = np.argsort(np.where(np.isfinite(log_base), full, np.inf), kind="stable")[: np.isfinite(log_base).sum()]
     few = min(len(order), observed.measure.particles)  # evenly: the best alone would be narrower than the posterior
@@ -97,7 +100,11 @@ def calibrate(
     counts, z, log_base, full = counts[order], z[order], log_base[order], full[order]
     units = len(observed.counts)
     resampled = rng.multinomial(units, np.full(units, 1 / units), size=RESAMPLES)
-    energies = energy(observed, resampled_divergences(observed, counts, resampled), floor).T
+    divergence = resampled_divergences(observed, counts, resampled)
+    energies = energy(observed, divergence, floor).T
+    hopeless = ~np.isfinite(energies).any(axis=1)
+    if hopeless.any():
+        raise InferError(not_finite(observed.channels, ~np.isfinite(divergence[:, hopeless]).all(axis=(0, 1))))
     accepted = 0.0
     for alpha in np.geomspace(1e-4, LARGEST_ALPHA, 40):
         if _relative_movement(alpha, energies, full, z, log_base) > 1.0:
