@@ -17,6 +17,7 @@ from tcbi_sim.model import base_model
 from tcbi_sim.ray_workers import versions
 
 Result = dict[str, Any]
+CODE = versions()["tcbi"]  # as this process has it; the files may change while it runs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,9 +49,9 @@ def run(case: Case, threads: int = 0) -> Result:
       threads: of the inference, 0 for all processors; the result does not depend on it.
     """
     try:
-        return {"code": versions()["tcbi"], **_run(case, threads)}
+        return {"code": CODE, **_run(case, threads)}
     except TcbiError as e:
-        return {"code": versions()["tcbi"], "case": json.loads(case.key()), "cpu_s": 0.0, "failed": str(e)}
+        return {"code": CODE, "case": json.loads(case.key()), "cpu_s": 0.0, "failed": str(e)}
 
 
 def _run(case: Case, threads: int) -> Result:

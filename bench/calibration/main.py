@@ -27,12 +27,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from figures import figures
-from jobs import Case, Result, run
+from jobs import CODE, Case, Result, run
 from truths import POLICIES
 
 from tcbi_infer.divergence import LEAST_BINS
 from tcbi_infer.tcbi.method import METHODS
-from tcbi_sim.ray_workers import versions
 
 SOURCES = ("model", "robot", "hidden")
 QUICK = {
@@ -109,7 +108,7 @@ def of_code(found: list[Result], code: str) -> list[Result]:
 
 def results(wanted: list[Case], keep: Path | None, workers: int) -> Iterator[Result]:
     """Of all cases, those kept from an earlier run first."""
-    done = {json.dumps(r["case"], sort_keys=True): r for r in of_code(kept(keep), versions()["tcbi"])}
+    done = {json.dumps(r["case"], sort_keys=True): r for r in of_code(kept(keep), CODE)}
     left = []
     for case in wanted:
         old = done.get(case.key())
