@@ -1,6 +1,7 @@
 """The documents say what the code is."""
 
 import importlib.util
+import json
 import re
 from pathlib import Path
 
@@ -84,3 +85,35 @@ def test_the_files_that_the_examples_name_are_there():
     }
     assert len(named) > 5
     assert not [path for path in sorted(named) if not (ROOT / path).exists()]
+
+
+@pytest.mark.parametrize(("task", "thousand", "metres"), [("balance", 1.0, False), ("forward", 1000.0, True)])
+def test_the_tables_of_the_study_s_page_are_those_of_its_results(task, thousand, metres):
+    found = json.loads((ROOT / "docs" / "study.json").read_text())["tasks"][task]
+    page = (ROOT / "docs" / "study.md").read_text()
+    gains = {row["name"]: row for row in found["comparisons"]}
+    stiffness = {row["name"]: row for row in found["variance_reduction"] if row["parameter"] == "gain"}
+    inside = {
+        row["name"]: [r for r in found["variance_reduction"] if r["name"] == row["name"]] for row in found["noise"]
+    }
+    loudest = max(row["sigma"] for row in found["noise"])
+    noise = {row["name"]: row["return"] for row in found["noise"] if row["sigma"] == loudest}
+    for row in found["performance"]:
+        name = row["name"]
+
+        def spread(of, what, prefix=""):
+            value, *ends = (f"{of[prefix + what + end] / thousand:.0f}" for end in ("", "_low95", "_high95"))
+            return f"{value} ({ends[0]} to {ends[1]})"
+
+        place = f"{row['distance_cm'] / 100:.1f}" if metres else f"{row['inclination_deg']:.1f}"
+        cells = [row["label"], spread(row, "return"), place]
+        cells += [spread(gains[name], "returns", "gain_") if name in gains else "", f"{row['divergence_nats']:.3f}"]
+        if name in stiffness:
+            told = stiffness[name]
+            cells += [f"{100 * told['variance_reduction']:.0f} %, {100 * told['relative_error']:.0f} %"]
+            tried = sum(r["robots"] for r in inside[name])
+            cells += [f"{sum(r['truth_in_90'] for r in inside[name])} of {tried}", f"{noise[name] / thousand:.0f}"]
+        else:
+            cells += ["", "", ""]
+        line = "| " + " | ".join(cells) + " |"
+        assert line.replace("-0 %", "0 %") in page, line
