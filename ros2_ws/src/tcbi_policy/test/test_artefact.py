@@ -35,16 +35,16 @@ def saved(folder: Path, **changes: object) -> Path:
     return path
 
 
-def torch_targets(mlp: Mlp, observation: np.ndarray) -> np.ndarray:
-    """What the same network gives in torch, in single precision."""
+def torch_targets(mlp: Mlp, observation: np.ndarray, precision: torch.dtype = torch.float32) -> np.ndarray:
+    """What the same network gives in torch."""
     layers: list[torch.nn.Module] = []
     for w, b in zip(mlp.weights, mlp.biases, strict=True):
-        linear = torch.nn.Linear(w.shape[1], w.shape[0])
+        linear = torch.nn.Linear(w.shape[1], w.shape[0], dtype=precision)
         with torch.no_grad():
             linear.weight.copy_(torch.as_tensor(w))
             linear.bias.copy_(torch.as_tensor(b))
         layers += [linear, torch.nn.Tanh()]
-    scaled = torch.as_tensor((observation * mlp.observation_scale).astype(np.float32))
+    scaled = torch.as_tensor(observation * mlp.observation_scale, dtype=precision)
     with torch.no_grad():
         return np.asarray(mlp.limit * torch.nn.Sequential(*layers)(scaled).numpy())
 
@@ -65,6 +65,16 @@ def test_numpy_equals_torch_on_what_a_shipped_policy_meets(name: str) -> None:
         target = policy.act(0.0, observation)
         np.testing.assert_allclose(target, torch_targets(policy.mlp, observation), rtol=0, atol=1e-6)
         observation, *_ = environment.step(target / environment.limit)
+
+
+@pytest.mark.parametrize("name", ["balance-early", "balance", "forward-early", "forward"])
+def test_numpy_equals_torch_at_any_angle_but_for_torch_s_single_precision(name: str) -> None:
+    policy = find_policy(name)
+    assert isinstance(policy, Policy)
+    observation = np.random.default_rng(2).uniform(-np.pi, np.pi, (500, 21))
+    target = policy.act(0.0, observation)
+    np.testing.assert_allclose(target, torch_targets(policy.mlp, observation, torch.float64), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(target, torch_targets(policy.mlp, observation), rtol=0, atol=3e-6)
 
 
 def test_targets_stay_within_the_joint_range() -> None:
