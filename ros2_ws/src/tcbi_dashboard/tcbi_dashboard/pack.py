@@ -174,7 +174,7 @@ def _rollout(c: Comparison, also: Comparison | None, motion: SimulatedRollouts, 
     own = measured.position[cut] if tracked and measured.position is not None else None
     arrays = {
         "time": replay.time[cut],
-        "measured": replay.measured[r, cut],
+        "measured": replay.shown[r, cut],
         "predicted": c.predicted[r, cut],
         "low": c.low[r, cut],
         "high": c.high[r, cut],

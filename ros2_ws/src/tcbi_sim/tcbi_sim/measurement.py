@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.interpolate import Akima1DInterpolator
 
 from tcbi_sim.errors import SimError
 
@@ -97,34 +98,44 @@ class Measurement:
     readings: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     # ^ slow ones beside the samples, as `voltage_V` or `temperature_C/<joint>` -> (N,) s since BEGIN, (N,) values
 
-    def resampled(self, time: np.ndarray) -> "Measurement":
-        """The same rollout at other times: linear between samples, contacts the last one seen.
+    def resampled(self, time: np.ndarray, curved: bool = False) -> "Measurement":
+        """The same rollout at other times: between samples interpolated, contacts the last one seen.
 
         Args:
           time: (T',) s; outside the recording the first or last sample is repeated.
+          curved: between samples by Akima's curve, else by straight lines.
         """
 
-        def linear(values: np.ndarray | None) -> np.ndarray | None:
+        def between(values: np.ndarray | None) -> np.ndarray | None:
             if values is None:
                 return None
-            return np.stack([np.interp(time, self.time, column) for column in values.T], axis=-1)
+            return np.stack([_interpolated(time, self.time, column, curved) for column in values.T], axis=-1)
 
-        attitude = linear(None if self.attitude is None else continuous(self.attitude))
+        attitude = between(None if self.attitude is None else continuous(self.attitude))
         if attitude is not None:
             attitude = attitude / np.linalg.norm(attitude, axis=-1, keepdims=True)
         last = np.clip(np.searchsorted(self.time, time + 1e-9, side="right") - 1, 0, len(self.time) - 1)
-        joint_position = linear(self.joint_position)
+        joint_position = between(self.joint_position)
         assert joint_position is not None
         return dataclasses.replace(
             self,
             time=np.asarray(time, float),
             joint_position=joint_position,
             attitude=attitude,
-            angular_velocity=linear(self.angular_velocity),
-            linear_acceleration=linear(self.linear_acceleration),
+            angular_velocity=between(self.angular_velocity),
+            linear_acceleration=between(self.linear_acceleration),
             contact=None if self.contact is None else self.contact[last],
-            position=linear(self.position),
+            position=between(self.position),
         )
+
+
+def _interpolated(time: np.ndarray, own: np.ndarray, values: np.ndarray, curved: bool) -> np.ndarray:
+    """(T',) values at other times; straight lines where a curve cannot be laid through what there is."""
+    result = np.interp(time, own, values)
+    if curved and len(own) > 1 and np.all(np.diff(own) > 0) and np.isfinite(values).all():
+        inside = (time >= own[0]) & (time <= own[-1])
+        result[inside] = Akima1DInterpolator(own, values, method="makima")(time[inside])
+    return result
 
 
 def continuous(quaternion: np.ndarray) -> np.ndarray:

@@ -23,6 +23,8 @@ class Parameter:
     def __post_init__(self) -> None:
         if self.scale not in ("linear", "log"):
             raise SimError(f"parameter {self.name!r}: scale {self.scale!r}, allowed is linear or log")
+        if not np.isfinite([self.low, self.high]).all():
+            raise SimError(f"parameter {self.name!r}: bounds {self.low} to {self.high}, allowed are finite ones")
         if not self.low < self.high or (self.scale == "log" and self.low <= 0):
             raise SimError(
                 f"parameter {self.name!r}: bounds {self.low} to {self.high} do not suit a {self.scale} scale"

@@ -45,6 +45,8 @@ def unusable(effect: Effect) -> list[str]:
         return faults
     if not effect.parameters:
         faults.append("parameters is empty; an effect needs one at least, whose null value switches it off")
+    elif all(p.null is None for p in effect.parameters):
+        faults.append("no parameter has a null value; give the one whose value switches the effect off null=…")
     names = [p.name for p in effect.parameters]
     faults += [
         f"parameter {n!r}: allowed are small letters, digits and _"
@@ -74,6 +76,4 @@ def incomplete(effect: Effect) -> list[str]:
             faults.append(f"parameter {p.name!r} has no unit; write an SI unit, or '1' for a pure number")
         if not str(p.description or "").strip():
             faults.append(f"parameter {p.name!r} has no description; say in a few words what it measures")
-    if all(p.null is None for p in effect.parameters):
-        faults.append("no parameter has a null value; give the one whose value switches the effect off null=…")
     return faults

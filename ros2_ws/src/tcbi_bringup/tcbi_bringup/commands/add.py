@@ -125,8 +125,8 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
         if saved.evidence["nothing_held_out"]:
             judged = "the motion of the fit itself, which says nothing of others"
         print(
-            f"error over the noise floor on {judged}: {errors['base']:.1f} with {model.version} "
-            f"fitted again, {errors[effect]:.1f} with {saved.version}"
+            f"error over the noise floor on {judged}: {_error(errors['base'])} with {model.version} "
+            f"fitted again, {_error(errors[effect])} with {saved.version}"
         )
         if not saved.evidence["accepted"]:
             print("note: the diagnosis did not accept this effect; the version is a guess")
@@ -135,3 +135,8 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
     else:
         print(f"its size is as wide as the prior; measure it: ./tcbi compare BAG… --model {saved.version}")
     print(f"report: {path}")
+
+
+def _error(over_floor: float | None) -> str:
+    """As JSON keeps an error, which has no infinity."""
+    return "no prediction (it diverges)" if over_floor is None else f"{over_floor:.1f}"

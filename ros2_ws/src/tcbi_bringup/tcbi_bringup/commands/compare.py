@@ -66,8 +66,8 @@ def _print(comparison: "Comparison", rungs: "Sequence[Rung]", path: Path) -> Non
     for guard in comparison.guards:
         print(f"note: {guard}")
     errors = (*comparison.signals, *comparison.statistics)
-    rows = [[s.name, s.unit, s.error, s.noise_floor, s.ratio, s.coverage90, s.crps] for s in errors]
-    head = ["signal", "unit", "error", "noise floor", "error / floor", "inside 90 % band", "CRPS"]
+    rows = [[s.name, s.unit, s.error, s.noise_floor, s.floor_from, s.ratio, s.coverage90, s.crps] for s in errors]
+    head = ["signal", "unit", "error", "noise floor", "from", "error / floor", "inside 90 % band", "CRPS"]
     console.table(f"{comparison.model} on {len(comparison.rollouts)} rollouts", head, rows)
     print("error over noise floor, joints and attitude:")
     for rung in rungs:

@@ -275,7 +275,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
 
     grid = rich.table.Table(title=title or None, title_justify="left", box=rich.box.SIMPLE_HEAD, pad_edge=False)
     for i, column in enumerate(columns):
-        numeric = bool(rows) and all(_is_number(row[i]) or row[i] is None for row in rows)
+        numeric = bool(rows) and all(isinstance(row[i], float) or _is_number(row[i]) or row[i] is None for row in rows)
         grid.add_column(column, justify="right" if numeric else "left", overflow="fold")
     for row in rows:
         grid.add_row(*(_cell(value) for value in row))
@@ -291,6 +291,8 @@ def _is_number(value: Any) -> bool:
 
 
 def _cell(value: Any) -> str:
+    if isinstance(value, float) and math.isinf(value):
+        return str(value)  # an error where the simulation diverged, which JSON has no number for
     value = plain(value)
     if value is None:
         return "–"

@@ -27,6 +27,7 @@ LEADS, LONGEST = -0.04, 0.45  # s; less is impossible for a robot, more is no se
 NEARLY = 1.15  # times what the best lag misses: lags that explain a slow motion as well
 BETWEEN = 0.03  # s by which repeats must differ in lag for a finding
 AGREE = 0.015  # s within which signals share a lag
+OFF_UNIT = 5.0  # times its command that a joint in rad never moves
 FOLLOWS = 0.3  # share of a motion's variance that a joint may owe to other things than its command
 ALIAS = 2.0  # by which an impossible lag must beat every possible one
 SHARPER = 3.0  # by which the best lag must beat a typical one; a steady ramp looks the same at any
@@ -114,6 +115,15 @@ class Following:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(size > MOVES / 2, np.std(seen, axis=0) / size, np.nan)
 
+    @property
+    def off_unit(self) -> bool:
+        """Whether the joints move so many times as far as asked that their positions are in another unit than rad."""
+        return self.told and bool(np.isfinite(self.gain).any() and np.nanmedian(self.gain) > OFF_UNIT)
+
+    def seconds(self) -> float:
+        """How long it is known what was asked of joints that move."""
+        return float(self.known().mean() * (self.measurement.time[-1] - self.measurement.time[0])) if self.told else 0.0
+
     @cached_property
     def lag(self) -> float:
         """The lag (s) at which the joints together follow best; NaN if the motion does not tell."""
@@ -189,17 +199,14 @@ def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def aligned(measurements: Sequence[Measurement], followings: Sequence[Following] | None = None) -> Aligned:
     """Takes out what only the clocks can have done; what may be a latency stays."""
     followings = followings or [Following(m) for m in measurements]
-    lags = np.array([f.lag for f in followings])
-    shift = np.zeros(len(lags))
+    lags = np.array([np.nan if f.off_unit else f.lag for f in followings])
+    leading = np.array([f.leads and not f.off_unit for f in followings], bool)
+    shift, usual = _leads(lags, leading)
     findings: list[list[str]] = [[] for _ in measurements]
-    with np.errstate(invalid="ignore"):
-        sound = (lags > LEADS) & (lags < LONGEST)
-    leading = np.array([f.leads for f in followings], bool)
-    usual = float(np.median(lags[sound])) if sound.any() else 0.0
-    for r in np.nonzero(leading)[0]:
-        shift[r] = usual - lags[r]
+    for r in np.flatnonzero(shift):
+        lead = f" by {-1000 * lags[r]:.0f} ms" if leading[r] else ", as those of other rollouts show"
         findings[r].append(
-            f"The joints lead their commands by {-1000 * lags[r]:.0f} ms: the streams are stamped by different clocks. "
+            f"The joints lead their commands{lead}: the streams are stamped by different clocks. "
             f"All its signals are compared {1000 * shift[r]:.0f} ms later; their common latency cannot be told"
         )
     moved = [_shifted(m, s) for m, s in zip(measurements, shift, strict=True)]
@@ -214,6 +221,25 @@ def aligned(measurements: Sequence[Measurement], followings: Sequence[Following]
                 "commands were repeated: an artefact of the clocks, taken out before any error is measured"
             )
     return Aligned(tuple(moved), tuple(tuple(f) for f in findings))
+
+
+def _leads(lags: np.ndarray, leading: np.ndarray) -> tuple[np.ndarray, float]:
+    """By how much (s) each rollout is to come later, as its joints lead their commands, and the lag of the others.
+
+    Where most lags are negative and agree, one clock leads in all rollouts, also in those whose motion shows less of it.
+
+    Args:
+      lags: (R,) s, NaN where a motion does not tell.
+      leading: (R,) bool, rollouts that no lag of a robot explains.
+    """
+    known = np.isfinite(lags)
+    early, sound = known & (lags < 0), known & (lags > LEADS) & (lags < LONGEST)
+    if leading.any():
+        middle = float(np.median(lags[early]))
+        if 2 * np.sum(np.abs(lags[early] - middle) <= 2 * BETWEEN) >= known.sum():
+            return np.full(len(lags), -middle), 0.0
+    usual = float(np.median(lags[sound])) if sound.any() else 0.0
+    return np.where(leading, usual - lags, 0.0), usual
 
 
 def _shifted(m: Measurement, by: float) -> Measurement:

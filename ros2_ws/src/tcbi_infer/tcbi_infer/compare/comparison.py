@@ -129,7 +129,7 @@ def compare(
     for sets in _chunks(replay, len(draws)):
         scorer.take(sets, replay.simulate(model, draws, sets, timestep))
     names = tuple(m.rollout_id for m in replay.measurements)
-    findings = guard(measurements) + common_lag(replay.layout, replay.time, replay.measured, predicted, names)
+    findings = guard(measurements) + common_lag(replay.layout, replay.time, replay.shown, predicted, names)
     findings += _idle_parameters(model, replay, mean, floor.values)
     findings += scorer.divergences()
     findings += [f"In the fit behind {model.version}: {told}" for told in model.evidence.get("disagreements", ())]

@@ -11,16 +11,17 @@ import numpy as np
 
 from tcbi_infer.compare.clocks import LONGEST, MOVES, Following, aligned, clock_rate, correlation
 from tcbi_infer.compare.imu_guards import check_imu
-from tcbi_infer.compare.replicates import find_replicates
+from tcbi_infer.compare.replicates import by_torque, find_replicates
 from tcbi_infer.gaps import sample_gaps, unusable
 from tcbi_sim.measurement import Measurement
 
 SWAPPED = 0.7  # correlation of a joint with the command that it is said to follow; less comes about by chance
 MIRRORED = -0.6  # correlation of a joint with its own command
+LEAST_WIRING = 1.0  # s of motion that wiring is judged by
 SAME = 1e-3  # rad within which positions only echo commands; no servo tracks a moving command so closely
 ECHO_LAGS = np.arange(0.0, 0.105, 0.005)  # s
 UNITS = {180 / np.pi: "degrees", 4096 / (2 * np.pi): "raw encoder counts", 1023 / np.radians(300): "raw encoder counts"}
-OFF_UNIT = 5.0  # times its command that a joint in rad never moves
+DROOP = 0.5  # share of its command that a joint at work still moves
 HELD = 0.4  # share of repeated samples in motion that is no chance
 SIGNALS = ("attitude", "angular_velocity", "linear_acceleration", "contact", "position")  # that may be missing
 FEW_GAPS = 5  # that are told each; a stream with more comes in bursts
@@ -168,14 +169,15 @@ def _units(m: Measurement, following: Following) -> list[str]:
     if following.told:
         asked, seen = following.pairs(_found(following))
         slope = float(np.nanmedian(following.gain)) if np.isfinite(following.gain).any() else 1.0
-        if slope > OFF_UNIT:
-            unit = next((name for k, name in UNITS.items() if 0.75 < slope / k < 1.25), "another unit than radians")
+        if following.off_unit:
+            unit = next((name for k, name in UNITS.items() if DROOP < slope / k < 1.25), "another unit than radians")
             return [f"Joint positions move {slope:.0f} times as far as their commands: these look like {unit}"]
         if slope < 1 / 30 and np.median(np.abs(correlation(asked, seen))) > SWAPPED:
             return [f"Commands move {1 / slope:.0f} times as far as the joints: these look like degrees, not radians"]
     if largest > 30 * np.pi:
         return ["Joint positions reach hundreds of radians: these look like raw encoder counts or degrees"]
-    if largest > 4 * np.pi:
+    turns = by_torque(m) or (following.told and slope > DROOP)  # a joint that may turn on, or was asked to
+    if largest > 4 * np.pi and not turns:
         return ["Joint positions exceed two turns: these look like degrees, or an encoder that lost count"]
     return []
 
@@ -208,7 +210,7 @@ def _echo(m: Measurement, following: Following) -> list[str]:
 
 def _wiring(m: Measurement, following: Following) -> list[str]:
     """Mirrored joints move against their command; swapped ones follow each other's."""
-    if not following.told:
+    if not following.told or following.seconds() < LEAST_WIRING:
         return []
     asked, seen = following.pairs(_found(following))
     follows = np.std(seen, axis=0) > MOVES / 2
@@ -220,7 +222,7 @@ def _wiring(m: Measurement, following: Following) -> list[str]:
     findings = [
         f"{name} moves against its command: its sign may be mirrored"
         for name, r in zip(names, own, strict=True)
-        if r < MIRRORED
+        if r < MIRRORED and np.isfinite(following.lag)
     ]
     findings += [
         f"{names[a]} and {names[b]} follow each other's commands: they may be swapped"

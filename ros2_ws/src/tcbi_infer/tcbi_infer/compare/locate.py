@@ -52,7 +52,7 @@ def locate(
     """
     joints = _Joints(rig, layout, measurements, time, residual, predicted, floor)
     body = body_findings(layout, residual, floor, joints.whole, joints.span)
-    findings = [*joints.findings(most), *body]
+    findings = [*(list(joints.findings(most)) or joints.everywhere()), *body]
     return sorted(findings, key=lambda f: -f.score)[:most]
 
 
@@ -143,6 +143,31 @@ class _Joints:
         over, elsewhere = (float(np.sqrt(np.mean(self.scaled[part]))) for part in (cell, outside))
         if over < LEAST_OVER or over < LEAST_BEYOND * elsewhere:
             return None
+        told_how, kind = self._told(label, phase, cell)
+        statement = (
+            f"{told_how}: {here:.2g} deg, {over:.1f} times the noise floor; "
+            f"elsewhere {there:.2g} deg, {elsewhere:.1f} times."
+        )
+        names = tuple(self.names[j] for j in self.cells[label])
+        return Finding(statement, score, names, phase, here, there, over, kind, self._moment(cell, left))
+
+    def everywhere(self) -> list[Finding]:
+        """What all joints do all the time, where no part of it stands out; nothing within the noise."""
+        if not self.valid.any():
+            return []
+        over = float(np.sqrt(np.mean(self.scaled[self.valid])))
+        if over < LEAST_OVER:
+            return []
+        here = float(np.sqrt(np.mean(self.error[self.valid] ** 2)))
+        told_how, kind = self._told("", "", self.valid)
+        statement = (
+            f"{told_how}: {here:.2g} deg, {over:.1f} times the noise floor, much alike in all parts of the motion."
+        )
+        moment = self._moment(self.valid, self.excess)
+        return [Finding(statement, 1.0, tuple(self.names), "", here, float("nan"), over, kind, moment)]
+
+    def _told(self, label: str, phase: str, cell: np.ndarray) -> tuple[str, str]:
+        """Who does what in a cell, the beginning of a sentence, and the kind of error that it is."""
         members = list(self.cells[label])
 
         def rows(values: np.ndarray) -> np.ndarray:
@@ -152,12 +177,7 @@ class _Joints:
         asked = None if self.asked is None else rows(self.asked)
         kind = kind_of(rows(error), rows(self.predicted), rows(self.velocity), asked)
         names = tuple(self.names[j] for j in members)
-        statement = (
-            f"{_who(label, names)} {kind.words(len(names) > 1, phase)}: {here:.2g} deg, {over:.1f} "
-            f"times the noise floor; elsewhere {there:.2g} deg, {elsewhere:.1f} times."
-        )
-        moment = self._moment(cell, left)
-        return Finding(statement, score, names, phase, here, there, over, kind.name, moment)
+        return f"{_who(label, names)} {kind.words(len(names) > 1, phase)}", kind.name
 
     def _moment(self, cell: np.ndarray, left: np.ndarray) -> Moment:
         """The stretch of one joint that holds most of a cell's excess error."""
@@ -191,6 +211,5 @@ def worst_moments(
     while len(moments) < count and windows.size and windows.max() > 0:
         r, t, c = np.unravel_index(int(np.argmax(windows)), windows.shape)
         moments.append((int(r), int(t), int(channels[c])))
-        windows[r, :, c] = -1
         windows[r, max(0, t - span) : t + span, :] = -1
     return moments

@@ -11,7 +11,7 @@ from tcbi_infer.compare.errors import NothingToCompareError, WrongJointsError, W
 from tcbi_infer.compare.lengths import extended, side_by_side
 from tcbi_infer.compare.noise import NoiseFloor, mean_of, noise_floor, originals
 from tcbi_infer.compare.replicates import Replicates, find_replicates
-from tcbi_infer.compare.signals import Layout
+from tcbi_infer.compare.signals import GROUPS, Layout, window_mean
 from tcbi_infer.gaps import unusable
 from tcbi_sim.engine import SimulatedRollouts, simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
@@ -20,8 +20,8 @@ from tcbi_sim.rigs import load_rig
 
 LEAST_SAMPLES = 10
 SPREAD = 1.5  # sets whose lengths differ by less are simulated together
-NEAR = 0.2  # periods of a slow recording from one of its readings: further off a sample is an average of two
-SLOW = 1.5  # periods of the grid between two readings: more leave samples that are only interpolated
+NEAR = 0.2  # periods of a slow recording from one of its readings: further off a sample has less noise than these
+SLOW = 1.5  # periods of the grid between two readings: more leave samples that no reading stands for
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,10 +33,11 @@ class Replay:
       layout: the channels.
       measurements: (R) rollouts, sampled at `time`.
       time: (T,) s.
-      measured: (R, T, C) channels, NaN where not measured or after a rollout's end.
+      measured: (R, T, C) channels, NaN where not measured or after a rollout's end. Of a slow recording the samples
+        next to its own readings, by a curve through these.
+      shown: (R, T, C) the same, for pictures: between slow readings, too.
       replicates: (S) sets of rollouts that were asked for the same thing.
-      readings: (R, T) bool, samples at which a rollout has readings of its own; between those of a slow one there are
-        only interpolated values.
+      readings: (R, T) bool, samples at which a rollout has readings of its own, whose noise interpolation has left.
     """
 
     rig: str
@@ -44,6 +45,7 @@ class Replay:
     measurements: tuple[Measurement, ...]
     time: np.ndarray
     measured: np.ndarray
+    shown: np.ndarray
     replicates: tuple[Replicates, ...]
     scenarios: tuple[Scenario, ...]
     commands: tuple[Commands, ...]
@@ -72,15 +74,16 @@ class Replay:
         layout = Layout.of(usable, rate)
         ends = [min(m.scenario.duration, float(m.time[-1])) for m in usable]
         time = np.arange(1, int(np.floor(max(ends) * rate + 1e-6)) + 1) / rate
-        sampled = tuple(m.resampled(time) for m in usable)
-        measured = np.stack([layout.extract(m) for m in sampled])
+        sampled = tuple(m.resampled(time, curved=_slow(m.time, rate)) for m in usable)
+        shown = np.stack([layout.extract(m) for m in sampled])
         for r, (m, end) in enumerate(zip(usable, ends, strict=True)):
-            measured[r, (time > end + 1e-6) | (time < m.time[0] - 1.0 / rate)] = np.nan
-            measured[r, _spoilt(layout, m, time)] = np.nan
+            shown[r, (time > end + 1e-6) | (time < m.time[0] - 1.0 / rate)] = np.nan
+            shown[r, _spoilt(layout, m, time)] = np.nan
+        measured = np.where(np.stack([_known(layout, m.time, time) for m in usable]), shown, np.nan)
         replicates = tuple(find_replicates(usable))
         scenarios, commands = zip(*[_asked(usable, g, float(time[-1])) for g in replicates], strict=True)
         readings = np.stack([_readings(m.time, time, rate) for m in usable])
-        return Replay(model.rig, layout, sampled, time, measured, replicates, scenarios, commands, readings)
+        return Replay(model.rig, layout, sampled, time, measured, shown, replicates, scenarios, commands, readings)
 
     def predict(
         self, model: Model, parameters: np.ndarray, sets: Sequence[int] | None = None, timestep: float = 0.002
@@ -177,14 +180,28 @@ class Replay:
         return np.stack([np.isfinite(self.measured[list(own)]).sum(axis=0) for own in self.repeats])
 
 
+def _slow(own: np.ndarray, rate: float) -> bool:
+    """Whether stamps lie so far apart that the grid has samples which no reading stands for."""
+    return bool(np.median(np.diff(own)) * rate >= SLOW)
+
+
 def _readings(own: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:
     """(T,) bool: samples of the grid next to a rollout's own stamps; all where these are about as close as the grid."""
-    period = float(np.median(np.diff(own))) * rate
-    if period < SLOW:
+    if not _slow(own, rate):
         return np.ones(len(time), bool)
     at = (own - time[0]) * rate
     near = np.rint(at)
-    return np.isin(np.arange(len(time)), near[np.abs(at - near) <= NEAR * period])
+    close = np.abs(at - near) <= NEAR * np.median(np.diff(at))
+    return np.isin(np.arange(len(time)), near[close] if close.sum() >= LEAST_SAMPLES else near)
+
+
+def _known(layout: Layout, own: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """(T, C) bool: samples that readings of a rollout stand for: the nearest to a stamp, averages that hold one."""
+    if not _slow(own, layout.rate):
+        return np.ones((len(time), len(layout.channels)), bool)
+    stamped = np.isin(np.arange(len(time)), np.rint((own - time[0]) * layout.rate))
+    averaged = {g: window_mean(stamped[:, None].astype(float), layout.samples_in(g))[:, 0] > 0 for g in GROUPS}
+    return np.stack([averaged[c.group] for c in layout.channels], axis=-1)
 
 
 def _useless(m: Measurement) -> str:

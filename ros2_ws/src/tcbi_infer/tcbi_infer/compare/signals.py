@@ -74,6 +74,7 @@ class Layout:
     def of(measurements: Sequence[Measurement], rate: float = RATE_HZ) -> "Layout":
         """Every signal that at least one of the rollouts measured."""
         first = measurements[0]
+        feet = next((m.foot_names for m in measurements if m.contact is not None), first.foot_names)
         present = {
             "attitude": any(m.attitude is not None for m in measurements),
             "angular_velocity": any(m.angular_velocity is not None for m in measurements),
@@ -85,7 +86,7 @@ class Layout:
             ATTITUDE: ("roll", "pitch"),
             RATE: ("rate_x", "rate_y", "rate_z"),
             ACCELERATION: ("acceleration_x", "acceleration_y", "acceleration_z"),
-            CONTACT: tuple(f"contact_{f}" for f in first.foot_names),
+            CONTACT: tuple(f"contact_{f}" for f in feet),
         }
         channels = tuple(
             Channel(name, group, i)
@@ -93,7 +94,7 @@ class Layout:
             if group is JOINT or present[group.name]
             for i, name in enumerate(names[group])
         )
-        return Layout(first.joint_names, first.foot_names, channels, rate)
+        return Layout(first.joint_names, feet, channels, rate)
 
     def where(self, *groups: Group) -> np.ndarray:
         """(n,) indices of the channels of these groups."""

@@ -25,6 +25,7 @@ LEAST = {  # smallest noise floor credible, in the unit
     DISTANCE: 5e-4, REWARD: 1.0, "return": 1.0, "final_inclination": 0.03, "distance_end": 5e-4
 }  # fmt: skip
 LEAST_SHARE = 0.01  # of a contact ratio
+FEWEST_REPEATS = 4  # beyond the first of each motion, whose scatter is the floor: of fewer it is too rough
 FEWEST_ROLLOUTS = 3  # from whose scatter a statistic's floor can be estimated
 Values = dict[str, np.ndarray]
 
@@ -75,8 +76,8 @@ def predicted(replay: Replay, rollouts: SimulatedRollouts, sets: Sequence[int]) 
 
 
 def compared(replay: Replay) -> np.ndarray:
-    """(R, T) bool: which samples of each rollout are compared at all, gaps left out."""
-    return np.isfinite(replay.measured[..., 0])
+    """(R, T) bool: which samples of each rollout its statistics are made of: gaps are left out."""
+    return np.isfinite(replay.shown[..., 0])
 
 
 def _values(
@@ -187,7 +188,7 @@ def _floor(
     for members in repeats:
         square, free = scatter(values[list(members)])
         squares, freedom = squares + float(square.sum()), freedom + int(free.sum())
-    if freedom:
+    if freedom >= FEWEST_REPEATS:
         return TaskFloor(max(float(np.sqrt(squares / freedom)), least), True)
     if values.shape[-1] > 1:
         return TaskFloor(max(float(from_fast_changes(residual[..., None], readings)[0]), least), False)

@@ -175,6 +175,17 @@ def _design(problem: Problem, residual: np.ndarray, sets: np.ndarray) -> _Design
     return _Design(columns, gram, slope, scale / np.sqrt(share), (scaled**2).sum(axis=(1, 2)), noise)
 
 
+def _joined(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """(S, T, J) with straight lines across what does not count, as between the readings of a slow recording."""
+    result = values.copy()
+    for s, j in np.ndindex(values.shape[0], values.shape[2]):
+        known = np.flatnonzero(np.isfinite(values[s, :, j]))
+        if len(known):
+            within = slice(known[0], known[-1] + 1)
+            result[s, within, j] = np.interp(time[within], time[known], values[s, known, j])
+    return result
+
+
 def _laws(problem: Problem, predicted: np.ndarray, sets: np.ndarray, joints: list[int]) -> dict[str, np.ndarray]:
     """Name -> (S, T, J, K) columns of each variable that varies, centred, of about unit size.
 
@@ -187,7 +198,7 @@ def _laws(problem: Problem, predicted: np.ndarray, sets: np.ndarray, joints: lis
     replay = problem.replay
     firsts = [replay.measurements[replay.replicates[s].members[0]] for s in sets]
     time, shape = replay.time, predicted.shape
-    velocity = np.gradient(predicted, time, axis=1)
+    velocity = np.gradient(_joined(predicted, time), time, axis=1)
     smooth = {POSITION: predicted, "the predicted velocity": velocity}
     if load_rig(replay.rig).kind == "position":
         asked = np.stack([reference(m, time)[:, joints] for m in firsts]) * DEGREE

@@ -22,7 +22,7 @@ def body_figures(c: Comparison) -> list[Figure]:
         if place is None:
             continue
         r, cut = place
-        arrays = (c.replay.measured, c.predicted, c.low, c.high)
+        arrays = (c.replay.shown, c.predicted, c.low, c.high)
         names = [c.replay.layout.channels[i].name for i in index]
         labels = [f"{name.removeprefix('contact_')} / {group.unit}" for name in names]
         rows = [(label, [a[r, cut, i] for a in arrays]) for label, i in zip(labels, index, strict=True)]

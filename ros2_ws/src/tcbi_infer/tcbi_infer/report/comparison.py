@@ -166,7 +166,7 @@ def _overlay(
     same = after is not None and after.rollouts == c.rollouts
     return plots.overlay(
         c.replay.time[cut],
-        c.replay.measured[r, cut, i],
+        c.replay.shown[r, cut, i],
         c.predicted[r, cut, i],
         c.low[r, cut, i],
         c.high[r, cut, i],

@@ -114,10 +114,10 @@ def overlay(
         for begin, end in _stretches(inside) if inside is not None and not inside.all() else ():
             axes.axvspan(time[begin], time[min(end, len(time) - 1)], color=GREY, alpha=0.22, lw=0)
         axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="90 % band")
-        axes.plot(time, predicted, color=BLUE, label="predicted")
+        _line(axes, time, predicted, color=BLUE, label="predicted")
         if after is not None:
-            axes.plot(time, after, color=GREEN, ls="-.", label="with the effect")
-        axes.plot(time, measured, color=ORANGE, ls="--", label="measured")
+            _line(axes, time, after, color=GREEN, ls="-.", label="with the effect")
+        _line(axes, time, measured, color=ORANGE, ls="--", label="measured")
         axes.set_xlabel("time / s")
         axes.set_ylabel(label)
         axes.margins(x=0)
@@ -137,13 +137,20 @@ def stacked(time: np.ndarray, rows: Sequence[tuple[str, Sequence[np.ndarray]]]) 
         panels = figure.subplots(len(rows), sharex=True, squeeze=False)[:, 0]
         for axes, (label, (measured, predicted, low, high)) in zip(panels, rows, strict=True):
             axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="90 % band")
-            axes.plot(time, predicted, color=BLUE, label="predicted")
-            axes.plot(time, measured, color=ORANGE, ls="--", label="measured")
+            _line(axes, time, predicted, color=BLUE, label="predicted")
+            _line(axes, time, measured, color=ORANGE, ls="--", label="measured")
             axes.set_ylabel(label)
             axes.margins(x=0)
         panels[-1].set_xlabel("time / s")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, handlelength=1.8)
         return to_svg(figure)
+
+
+def _line(axes: Axes, time: np.ndarray, values: np.ndarray, **style: Any) -> None:
+    """A line that breaks where values are missing, but for those between the samples of a slow recording."""
+    known = np.isfinite(values)
+    apart = not (known[1:] & known[:-1]).any()
+    axes.plot(*((time[known], values[known]) if apart else (time, values)), **style)
 
 
 def _stretches(mask: np.ndarray) -> list[tuple[int, int]]:

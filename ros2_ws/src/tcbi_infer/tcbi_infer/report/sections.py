@@ -217,7 +217,7 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
     tone = "warn" if disagreements else tone
     report.add(Section(f"{child.version} follows {parent.version}", verdict=told, tone=tone, notes=disagreements))
     if evidence.get("errors"):
-        errors = [(step_label(k), v) for k, v in evidence["errors"].items()]
+        errors = [(step_label(k), np.inf if v is None else v) for k, v in evidence["errors"].items()]
         add_ladder(report, errors, repeated=evidence.get("floor_from_replicates"))
     before = dict(zip(parent.names, _quantiles(parent), strict=True))
     rows = [

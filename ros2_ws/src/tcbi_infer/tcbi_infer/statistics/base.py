@@ -126,7 +126,7 @@ def from_measurements(measurements: Sequence[Measurement], time: np.ndarray) -> 
         command_ramp=first.commands.ramp,
         scenarios=tuple(m.scenario for m in measurements),
         joint_names=first.joint_names,
-        foot_names=first.foot_names,
+        foot_names=next((m.foot_names for m in measurements if m.contact is not None), first.foot_names),
         attitude=stacked("attitude"),
         angular_velocity=stacked("angular_velocity"),
         contact=stacked("contact"),
