@@ -112,6 +112,7 @@ def _judge(model: Model, use: EffectUse, rig: Rig) -> Trial:
         allowed = max(EXACT, STRUCTURAL * max(change[s] for s in signals)) if structural else EXACT
         has_null = any(p.null is not None for p in use.parameters)
         faults += _changes(acts, null_change if has_null else 0.0, allowed)
+        faults += _idle(use, out)
     return Trial(rig.name, use.key, change, null_change, tuple(faults))
 
 
@@ -140,6 +141,18 @@ def _changes(acts: float, null_change: float, allowed: float) -> list[str]:
     return faults
 
 
+def _idle(use: EffectUse, out: SimulatedRollouts) -> list[str]:
+    """Parameters that change nothing from one end of their range to the other, the others at their nominal values."""
+    faults = []
+    for i, p in enumerate(use.parameters):
+        ends = 2 + 2 * i, 3 + 2 * i  # as `rows` has them
+        each = (getattr(out, name) for name in SIGNALS)
+        if all(values is None or np.array_equal(values[ends[0]], values[ends[1]]) for values in each):
+            own = p.name.rpartition(".")[2]
+            faults.append(f"parameter {own!r} changes nothing from {p.low:g} to {p.high:g}; use it, or leave it out")
+    return faults
+
+
 def _nominal(parameters: tuple[Parameter, ...]) -> np.ndarray:
     return np.array([[p.nominal for p in parameters]])
 
@@ -157,9 +170,52 @@ def _writes(model: Model, use: EffectUse, rig: Rig) -> list[str]:
     faults = _strange(simulator.fields, allowed, len(values))
     if not np.array_equal(simulator.parameters, values):
         faults.append("changes the values that it is given; copy them before calculating in place")
+    if not faults and use.effect.edit is None:
+        faults += _overwrites(simulator, model, use, rig)
     if _bytes(simulator.mj) != _bytes(compiled):
         faults.append("writes into fields.mj, which all simulations share; write into fields.model[…] instead")
     return faults
+
+
+def _overwrites(simulator: Simulator, model: Model, use: EffectUse, rig: Rig) -> list[str]:
+    """Whether apply() leaves what others wrote as it is at the null value, and writes the same when called again."""
+    fields = simulator.fields
+    values, _ = rows(model, use)
+    null, nominal = ({n: np.full(len(values), v) for n, v in zip(model.names, values[k], strict=True)} for k in (0, 1))
+
+    def written(row: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Every field after apply(), begun from what other effects might have written."""
+        arrays = _arrays(fields)
+        for name, array in before.items():
+            arrays[name][...] = array
+        use.apply(fields, rig, row)
+        return {name: array.copy() for name, array in _arrays(fields).items()}
+
+    before = {name: _as_others_wrote(name, array) for name, array in _arrays(fields).items()}
+    after, first, second = written(null), written(nominal), written(nominal)
+    lost = [n for n, array in before.items() if not np.allclose(after[n], array, rtol=EXACT, atol=EXACT)]
+    faults = [
+        f"changes something at its null value: fields.{name}, as other effects may have left it; add to it (+=) or "
+        "multiply it (*=), each simulation by its own value, so that the null value leaves it as it is"
+        for name in lost
+    ]
+    if any(not np.array_equal(first[n], second[n]) for n in before):
+        faults.append("apply() writes something else each time; draw no random numbers there, take them as parameters")
+    return faults
+
+
+def _arrays(fields: Fields) -> dict[str, np.ndarray]:
+    """Every float array that apply() may write, by its name below `fields`."""
+    groups = {f"{g}.{n}": v for g in ("command", "sensing") for n, v in vars(getattr(fields, g)).items()}
+    own = {n: getattr(fields, n) for n in ("powered_damping", "compliance")}
+    return groups | own | {f"model[{n!r}]": v for n, v in fields.model.items() if v.dtype.kind == "f"}
+
+
+def _as_others_wrote(name: str, array: np.ndarray) -> np.ndarray:
+    """Values of a field as another effect might leave them: none is what a perfect robot has."""
+    if name.startswith("model"):
+        return 1.25 * array
+    return np.full_like(array, 3.0 if name == "command.speed" else 0.0123)
 
 
 def _layout(fields: Fields) -> dict[str, tuple[int, ...]]:

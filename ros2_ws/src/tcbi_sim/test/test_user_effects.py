@@ -62,6 +62,18 @@ FAULTS = {  # what a user may get wrong: (the text of a good file, its replaceme
     "NaN": (LINE, '    fields.model["jnt_stiffness"][:] = float("nan")', "NaN or infinity into fields.model"),
     "nothing happens": (LINE, "    pass", "changes nothing at its nominal value"),
     "acts at null": ('+= values["stiffness"][:, None]', "+= 1.0", "changes something at its null value"),
+    "overwrites": ('+= values["stiffness"][:, None]', '= values["stiffness"][:, None]', "null value: fields.model"),
+    "random": (
+        'values["stiffness"][:, None]',
+        'values["stiffness"][:, None] * __import__("numpy").random.rand()',
+        "something else each time",
+    ),
+    "idle parameter": (
+        '"of each joint\'s cables"),)',
+        '"of each joint\'s cables"), Parameter("idle", "1", 0.0, 1.0, 0.5, description="nothing at all"))',
+        "'idle' changes nothing from 0 to 1",
+    ),
+    "endless range": ("0.0, 1.0, 0.2", "0.0, float('inf'), 0.2", "allowed are finite ones"),
     "reaches over": (
         'values["stiffness"][:, None]',
         'values["stiffness"].mean()',

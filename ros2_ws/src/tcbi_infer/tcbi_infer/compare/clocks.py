@@ -226,7 +226,7 @@ def aligned(measurements: Sequence[Measurement], followings: Sequence[Following]
 def _leads(lags: np.ndarray, leading: np.ndarray) -> tuple[np.ndarray, float]:
     """By how much (s) each rollout is to come later, as its joints lead their commands, and the lag of the others.
 
-    Where most lags are negative and agree, one clock leads in all rollouts, also in those whose motion shows less of it.
+    Where most lags are negative and agree, one clock leads in all rollouts, also in those whose motion shows it less.
 
     Args:
       lags: (R,) s, NaN where a motion does not tell.
@@ -269,7 +269,8 @@ def common_shift(a: Measurement, b: Measurement) -> float:
     NaN unless nearly all moving signals, joints and body alike, agree on it.
     """
     rate = 1.0 / STEP
-    asked = float(np.mean(b.commands.time - a.commands.time)) if len(a.commands.time) == len(b.commands.time) else 0.0
+    both = min(len(a.commands.time), len(b.commands.time))
+    asked = float(np.mean(b.commands.time[:both] - a.commands.time[:both])) if both else 0.0
     end = min(a.time[-1], b.time[-1])
     time = np.arange(max(a.time[0], b.time[0]), end, STEP)
     if len(time) < 4 * BETWEEN_REACH * rate:

@@ -41,9 +41,9 @@ class NoiseFloor:
                 text += f" {self.repeated} of {self.motions} motions {were} repeated; {their} scatter stands for all."
             return text
         return (
-            "No two recordings of the same commands differ, so the noise floor is estimated from fast changes of the "
-            "residual; slow differences between runs are missed, and the ratios may look too large. Recording each "
-            "motion twice helps."
+            "No two recordings repeat the same commands from the same start and differ: the noise floor is estimated "
+            "from fast changes of the residual; slow differences between runs are missed, and the ratios may look too "
+            "large. Recording each motion twice helps."
         )
 
 

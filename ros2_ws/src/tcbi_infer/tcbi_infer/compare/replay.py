@@ -224,7 +224,8 @@ def _spoilt(layout: Layout, m: Measurement, time: np.ndarray) -> np.ndarray:
 def _asked(measurements: Sequence[Measurement], group: Replicates, duration: float) -> tuple[Scenario, Commands]:
     """What a set of replicates was asked for; jitter of the command times is averaged."""
     members = [measurements[i] for i in group.members]
-    first = members[0]
-    time = np.mean([m.commands.time for m in members], axis=0)
-    scenario = dataclasses.replace(first.scenario, duration=duration)
-    return scenario, dataclasses.replace(first.commands, time=time)
+    times = [m.commands.time for m in members]
+    longest = members[int(np.argmax([len(time) for time in times]))].commands
+    mean = [np.mean([time[k] for time in times if k < len(time)]) for k in range(len(longest.time))]
+    scenario = dataclasses.replace(members[0].scenario, duration=duration)
+    return scenario, dataclasses.replace(longest, time=np.array(mean))

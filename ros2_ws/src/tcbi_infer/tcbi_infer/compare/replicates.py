@@ -16,9 +16,13 @@ from tcbi_sim.rigs import load_rig, rig_names
 
 SAME_TARGET = 2e-3  # rad
 SAME_TORQUE = 0.01  # of the torques' spread: motors differ far in what they can give
+SAME_START = 0.02  # rad; a robot that is put down again does not stand closer to where it stood
+SAME_SLOPE = 2e-3  # rad
 SAME_SPEED = 0.05  # rad/s; a start in motion is measured no better
 SAME_TIME = 0.1  # s, jitter of a live command stream; half a control period
 SAME_SHAPE = 0.1  # of a motion's spread
+LEAST_SHARED = 2 / 3  # of the longer of two command streams that are the same: a repeat that was stopped
+MOVES = 0.02  # rad, standard deviation of a beginning that tells one motion from another
 MIN_KINDS = 5  # of fewer kinds no false-alarm rate is told
 SCRIPTED = "gait:"  # begins the name of a policy that is known to act without feedback
 
@@ -52,10 +56,12 @@ class Split:
 def same_scenario(a: Scenario, b: Scenario) -> bool:
     """Whether two rollouts took place in the same surroundings, from the same start."""
     start: dict[str, Any] = {"initial_joint_position": None, "initial_joint_velocity": None}
-    plain = [dataclasses.replace(s, seed=0, duration=0.0, **start) for s in (a, b)]
+    level = {"slope_roll": 0.0, "slope_pitch": 0.0}
+    plain = [dataclasses.replace(s, seed=0, duration=0.0, **level, **start) for s in (a, b)]
     return (
         plain[0] == plain[1]
-        and _near(a.initial_joint_position, b.initial_joint_position, SAME_TARGET)
+        and _near((a.slope_roll, a.slope_pitch), (b.slope_roll, b.slope_pitch), SAME_SLOPE)
+        and _near(a.initial_joint_position, b.initial_joint_position, SAME_START)
         and _near(a.initial_joint_velocity, b.initial_joint_velocity, SAME_SPEED)
     )
 
@@ -72,17 +78,19 @@ def by_torque(m: Measurement) -> bool:
 
 
 def same_commands(a: Commands, b: Commands, torque: bool = False) -> bool:
-    """Whether two command streams are the same up to the jitter of a live stream.
+    """Whether two command streams are the same up to the jitter of a live stream, as far as the shorter one goes.
 
     Args:
       a: one stream.
       b: the other one.
       torque: their targets are N m, else rad.
     """
-    if a.target.shape != b.target.shape or abs(a.ramp - b.ramp) >= 1e-6:
+    n, longer = sorted((len(a.time), len(b.time)))
+    if a.target.shape[1:] != b.target.shape[1:] or n < LEAST_SHARED * longer or abs(a.ramp - b.ramp) >= 1e-6:
         return False
     most = SAME_TORQUE * float(np.std(a.target)) if torque else SAME_TARGET
-    return bool(np.all(np.abs(a.target - b.target) <= most)) and bool(np.all(np.abs(a.time - b.time) < SAME_TIME))
+    same = np.all(np.abs(a.target[:n] - b.target[:n]) <= most)
+    return bool(same and np.all(np.abs(a.time[:n] - b.time[:n]) < SAME_TIME))
 
 
 def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
@@ -99,14 +107,26 @@ def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
             groups.append([i])
     labels = [_label(measurements[g[0]]) for g in groups]
     distinct = list(dict.fromkeys(labels))
+    by_shape = _kinds_by_shape(measurements, groups)
     if len(distinct) >= MIN_KINDS:
-        return [Replicates(tuple(g), distinct.index(label)) for g, label in zip(groups, labels, strict=True)]
-    kinds = _joined(_kinds_by_shape(measurements, groups), labels)
+        kinds = _either([distinct.index(label) for label in labels], by_shape)
+    else:
+        kinds = _joined(by_shape, labels)
     return [Replicates(tuple(g), kind) for g, kind in zip(groups, kinds, strict=True)]
 
 
 def _label(measurement: Measurement) -> tuple[str, str]:
     return (measurement.scenario.task, measurement.policy_id)
+
+
+def _either(first: Sequence[int], second: Sequence[int]) -> list[int]:
+    """Kinds of what is alike by either of two sortings: policies of two names may ask for the same motion."""
+    kinds = list(first)
+    for group in set(second):
+        joined = {kind for kind, other in zip(kinds, second, strict=True) if other == group}
+        kinds = [min(joined) if kind in joined else kind for kind in kinds]
+    distinct = list(dict.fromkeys(kinds))
+    return [distinct.index(kind) for kind in kinds]
 
 
 def _joined(kinds: Sequence[int], labels: Sequence[tuple[str, str]]) -> list[int]:
@@ -151,6 +171,8 @@ def _is_piece(m: Measurement) -> bool:
 def same_motion(a: Commands, b: Commands, torque: bool = False, rate: float = 50.0) -> bool:
     """Whether two command streams ask for nearly the same motion, however they were sampled.
 
+    Of different length, they do if the beginning that both have moves, and is the same.
+
     Args:
       a: one stream.
       b: the other one.
@@ -160,11 +182,12 @@ def same_motion(a: Commands, b: Commands, torque: bool = False, rate: float = 50
     if not len(a.time) or not len(b.time) or a.target.shape[1] != b.target.shape[1]:
         return False
     end = min(a.time[-1], b.time[-1])
-    if max(a.time[-1], b.time[-1]) > 1.2 * end + 0.5:
-        return False
+    cut = max(a.time[-1], b.time[-1]) > 1.2 * end + 0.5
     grid = np.arange(0.0, max(end, 1.0 / rate), 1.0 / rate)
     first, second = (_held(c, grid) for c in (a, b))
     spread = max(float(np.std(first)), 0.0 if torque else SAME_TARGET)
+    if cut and spread < (0.0 if torque else MOVES):
+        return False
     return bool(np.sqrt(np.mean((first - second) ** 2)) <= SAME_SHAPE * spread)
 
 
