@@ -42,6 +42,39 @@ def test_kinds_that_one_learned_policy_ties_together_are_one():
     assert kinds([*tied, rollout(1.1, "")]) == [0, 0, 0, 0, 1]
 
 
+def until(m: Measurement, commands: int) -> Measurement:
+    """The same rollout, stopped after some commands."""
+    cut = dataclasses.replace(m.commands, time=m.commands.time[:commands], target=m.commands.target[:commands])
+    return dataclasses.replace(m, commands=cut)
+
+
+def test_five_names_for_one_motion_are_one_kind():
+    assert kinds([rollout(0.3 + 0.002 * i, f"gait:walk{i}") for i in range(5)]) == [0] * 5
+    others = [rollout(pace, f"gait:other{pace}") for pace in (0.7, 1.1, 1.5)]
+    assert kinds([rollout(0.3, "a"), rollout(0.305, "b"), *others]) == [0, 0, 1, 2, 3]
+
+
+def test_the_beginning_of_a_motion_is_of_its_kind():
+    assert kinds([until(rollout(0.3, ""), n) for n in (10, 5, 3)]) == [0, 0, 0]
+    still = dataclasses.replace(rollout(0.3, ""), commands=Commands(np.arange(3) * 0.2, np.zeros((3, 1))))
+    assert kinds([rollout(0.3, ""), still]) == [0, 1], "to stand still is no motion's beginning"
+
+
+def test_a_repeat_that_was_stopped_is_a_repeat_as_far_as_it_goes():
+    whole = rollout(0.3, "gait:steps")
+    assert [s.members for s in find_replicates([whole, until(whole, 8)])] == [(0, 1)]
+    assert len(find_replicates([whole, until(whole, 5)])) == 2
+
+
+def test_a_repeat_may_stand_a_degree_off_and_its_slope_be_noted_a_little_otherwise():
+    def stood(posture: float, slope: float) -> Measurement:
+        scenario = Scenario("balance", 2.0, slope_roll=slope, initial_joint_position=(posture,))
+        return dataclasses.replace(rollout(0.3, "gait:steps"), scenario=scenario)
+
+    sets = find_replicates([stood(0.0, 0.1), stood(0.015, 0.101), stood(0.03, 0.1), stood(0.0, 0.11)])
+    assert [s.members for s in sets] == [(0, 1), (2,), (3,)]
+
+
 def passing(speed: float | None) -> Measurement:
     """One joint is let go while it passes zero at some speed (rad/s)."""
     start = {"initial_joint_position": (0.0,), "initial_joint_velocity": None if speed is None else (speed,)}

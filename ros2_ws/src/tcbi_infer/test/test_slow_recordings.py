@@ -1,0 +1,69 @@
+"""A recording slower than the rig's rate: what is interpolated between its readings is no measurement."""
+
+import dataclasses
+
+import bench_recordings
+import numpy as np
+import pytest
+from bench_recordings import BASE, NOISE, record
+
+from tcbi_infer.compare import compare
+from tcbi_infer.compare.replay import Replay
+from tcbi_infer.diagnose import diagnose
+from tcbi_infer.diagnose.settings import QUICK
+from tcbi_sim.measurement import Measurement
+from tcbi_sim.model import Model, base_model
+
+MODEL = base_model("servo_bench")
+
+
+def true_model() -> Model:
+    return MODEL.with_particles(np.tile(BASE, (2, 1)))
+
+
+@pytest.fixture(scope="module")
+def motion() -> list[Measurement]:
+    """Seven motions without noise."""
+    noise, bench_recordings.NOISE = NOISE, 0.0
+    try:
+        return record(MODEL, BASE, repeats=1)
+    finally:
+        bench_recordings.NOISE = noise
+
+
+def sampled(motion: list[Measurement], rate: float, begin: float = 0.013) -> list[Measurement]:
+    """Every motion twice, read `rate` times a second."""
+    rng = np.random.default_rng(0)
+    time = np.arange(begin, 5.0, 1.0 / rate)
+    rollouts = []
+    for m in motion:
+        read = m.resampled(time, curved=True)
+        for repeat in range(2):
+            noisy = read.joint_position + rng.normal(0, NOISE, read.joint_position.shape)
+            rollouts.append(dataclasses.replace(read, rollout_id=f"{m.policy_id}_{repeat}", joint_position=noisy))
+    return rollouts
+
+
+@pytest.mark.parametrize("rate", [10.0, 23.0, 50.0])
+def test_the_true_model_errs_by_no_more_than_the_noise_of_a_slow_recording(motion, rate):
+    found = compare(true_model(), sampled(motion, rate), particles=2)
+    (servo,) = [s for s in found.signals if s.name == "servo"]
+    assert found.error_over_floor < 1.3
+    assert servo.noise_floor == pytest.approx(np.degrees(NOISE), rel=0.15)
+
+
+def test_only_samples_next_to_readings_are_compared_and_pictures_show_all(motion):
+    replay = Replay.of(MODEL, sampled(motion, 10.0))
+    per_second = np.isfinite(replay.measured[0, :, 0]).sum() / 5.0
+    assert per_second == pytest.approx(10.0, abs=0.5)
+    assert np.isfinite(replay.shown[0, 3:-10, 0]).all()
+
+
+def test_readings_half_a_sample_beside_the_grid_count_too(motion):
+    replay = Replay.of(MODEL, sampled(motion, 50.0, begin=0.0149))
+    assert np.isfinite(replay.measured[0, :, 0]).mean() > 0.45
+
+
+def test_nothing_is_missing_in_a_slow_recording_of_the_model_itself(motion):
+    found = diagnose(MODEL, sampled(motion, 10.0), uses=["backlash", "command_latency"], settings=QUICK)
+    assert found.verdict == "nothing_missing"
