@@ -4,6 +4,7 @@ parser.add_argument("--n", type=at_least(1))               # an int
 parser.add_argument("--rate", type=above(0.0))             # a float
 parser.add_argument("--port", type=between(1, 65_535))
 parser.add_argument("--namespace", type=namespace)         # without slashes at its ends
+parser.add_argument("--robots", type=not_empty)
 parser.add_argument("--diagnosis", type=existing_file)
 parser.add_argument("--store", type=folder_path)           # there, or to be made
 """
@@ -55,6 +56,13 @@ def _number(kind: type, fits: Callable[[Any], bool], allowed: str) -> Callable[[
         return value
 
     return parse
+
+
+def not_empty(text: str) -> str:
+    """A text that says something: an unset variable of a shell does not."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("got an empty text; say something, or leave the option out")
+    return text
 
 
 seed = between(0, 2**32 - 1)  # what the libraries of a training and of the methods take

@@ -243,7 +243,7 @@ def test_a_report_shows_what_was_worked_on_unless_something_is_named() -> None:
     plan = of_what_is_there(PRESETS["hour"], keys)
     assert plan.robots == ((11, "strong"), (13, "strong"))
     assert list(plan.tasks) == ["balance"] and plan.contestants == ("abc",)
-    named = of_what_is_there(chosen("hour", robots="12", tasks="forward"), keys, "12", "forward")
+    named = of_what_is_there(chosen("hour", robots="12", tasks="forward"), keys, ("12", "forward", ""))
     assert named.robots == ((12, "strong"),) and list(named.tasks) == ["forward"]
     assert of_what_is_there(PRESETS["hour"], []) == PRESETS["hour"]
 

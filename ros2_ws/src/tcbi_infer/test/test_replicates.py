@@ -49,7 +49,7 @@ def until(m: Measurement, commands: int) -> Measurement:
 
 
 def test_five_names_for_one_motion_are_one_kind():
-    assert kinds([rollout(0.3 + 0.002 * i, f"gait:walk{i}") for i in range(5)]) == [0] * 5
+    assert kinds([rollout(0.3 + 0.0015 * (i + 1), f"gait:walk{i}") for i in range(5)]) == [0] * 5
     others = [rollout(pace, f"gait:other{pace}") for pace in (0.7, 1.1, 1.5)]
     assert kinds([rollout(0.3, "a"), rollout(0.305, "b"), *others]) == [0, 0, 1, 2, 3]
 

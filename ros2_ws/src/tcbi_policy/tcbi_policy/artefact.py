@@ -23,7 +23,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from tcbi_contract.errors import describe
-from tcbi_policy.entries import FILE_NAME, LIST, NAMES, NUMBER, OBJECT, TEXT, faults
+from tcbi_policy.entries import FILE_NAME, LIST, NAMES, NUMBER, NUMBER_OR_NONE, OBJECT, TEXT, faults
 from tcbi_policy.errors import PolicyDamaged, PolicyError, PolicyNotFound
 from tcbi_policy.gaits import GAITS, Gait
 from tcbi_policy.layout import ENTRIES as LAYOUT_ENTRIES
@@ -37,7 +37,10 @@ CARD_ENTRIES = {
     **dict.fromkeys(("posterior", "libraries"), OBJECT),
     "curve": LIST,
 }
-TRAINING_ENTRIES = {"effects": NAMES, "effect_share": NUMBER, "observation_noise": NUMBER}  # what retraining takes over
+TRAINING_ENTRIES = {
+    **{"effects": NAMES, "effect_share": NUMBER, "observation_noise": NUMBER},  # what retraining takes over
+    **dict.fromkeys(("mean_return", "steps_taken", "best_steps", "cpu_s"), NUMBER_OR_NONE),  # what is shown
+}
 SHIPPED = Path(__file__).parent / "policies"
 GAIT_PREFIX = "gait:"
 LOCK = ".lock"
@@ -90,9 +93,13 @@ class Card:
         """
         try:
             data = json.loads(text)
+            if not isinstance(data, dict):
+                raise PolicyDamaged(f"{describe('card', data, 'an object of entries')}; copy both files again")
             if (found := data.pop("format")) != CARD_FORMAT:
                 remedy = "another version of tcbi wrote it: use that one, or train the policy again with this one"
                 raise PolicyDamaged(describe("card.format", found, str(CARD_FORMAT), remedy))
+            if strange := sorted(set(data) - {f.name for f in dataclasses.fields(Card)}):
+                raise PolicyDamaged(f"its card has entries that none has: {', '.join(strange)}; copy both files again")
             wrong = [
                 *faults(data, CARD_ENTRIES, "card"),
                 *faults(data["layout"], LAYOUT_ENTRIES, "card.layout"),
@@ -181,6 +188,10 @@ def load_policy(path: Path, robot: Layout = HEXAPOD) -> Policy:
     """
     card_path = path.with_suffix(".json")
     try:
+        if path.suffix == ".json" and path.with_suffix(".safetensors").is_file():
+            raise PolicyNotFound(f"{path} is a card; name the policy beside it, {path.with_suffix('.safetensors')}")
+        if path.is_dir():
+            raise PolicyNotFound(f"{path} is a folder; name a .safetensors file, with its .json card beside it")
         if not path.is_file():
             raise PolicyNotFound(
                 f"{path} does not exist; a policy is a .safetensors file with its .json card beside it"

@@ -22,6 +22,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from tcbi_contract.errors import describe
@@ -90,7 +91,8 @@ class HexapodVectorEnv(VectorEnv):
         self.model, self.task, self.num_envs, self.generation = model, find_task(task), count, 0
         self._seed = secrets.randbits(32) if seed is None else seed
         self._squash, self._observation_noise = squash, observation_noise
-        self._begun, self._taken = 0, 0  # the generation that runs, and how many steps of it have been taken
+        self._begun: int | None = None  # the generation that runs
+        self._taken = 0  # steps of it
         self._noise = np.random.default_rng(0)
         parameters, scenarios = self._draw()
         blocks = (scenarios[0].blocks or (SPARE,)) * self.task.blocks  # room for as many as there may ever be
@@ -139,8 +141,17 @@ class HexapodVectorEnv(VectorEnv):
         self._begun, self._taken = self.generation, 0
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control period of all episodes; actions (B, J)."""
+        """One control period of all episodes; actions (B, J).
+
+        Raises:
+          ResetNeeded: no episode has begun.
+          ValueError: an action is NaN or infinite.
+        """
+        if self._begun is None:
+            raise ResetNeeded("no episode has begun; call reset() before step()")
         action = np.asarray(action, float)
+        if not np.isfinite(action).all():
+            raise ValueError(describe("action", action[~np.isfinite(action)][0], "finite numbers"))
         target = self.limit * (np.tanh(action) if self._squash else np.clip(action, -1.0, 1.0))
         self.simulator.command(target)
         before, self._now = self._now, self.simulator.advance(CONTROL_PERIOD_S, forces=False)

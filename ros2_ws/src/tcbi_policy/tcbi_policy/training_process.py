@@ -44,7 +44,7 @@ def train_run(folder: Path, report: Report) -> None:
     if run.contents and not run.contents.endswith(LOADED):
         raise TrainingError(
             "the code or a library changed after the program that asks for this training (such as a retrain node) had "
-            "started; restart it"
+            "started; restart that, or give the same command again"
         )
     with alone(folder):
         _train_run(folder, run, report)
@@ -69,7 +69,8 @@ def _train_run(folder: Path, run: Run, report: Report) -> None:
         verdict = known_verdict(store.root, policy, *which)  # the same weights are not given a second chance
         if verdict is None:
             attempt = next_attempt(store.root, *which)
-            report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
+            if not _unchanged(rival, policy):
+                report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
             counted = {key: value for key, value in verdict_in(folder).items() if key == "attempt"}  # made here before
             verdict = counted | judge(rival, policy, unseen, run, attempt, note)
             replace_file(folder / OUTCOME, strict_json(verdict).encode())

@@ -154,7 +154,7 @@ def add_model(parser: argparse.ArgumentParser, use: str = "model version") -> No
 
 def add_task(parser: argparse.ArgumentParser, use: str = "", default: str = "", required: bool = False) -> None:
     """`--task NAME`; `cli` refuses one that there is not, before the command runs."""
-    text = f"balance or forward{use}" + (f" (default: {default})" if default else "")
+    text = f"balance, forward, or one of your own{use}" + (f" (default: {default})" if default else "")
     parser.add_argument("--task", default=default, required=required, help=text)
 
 

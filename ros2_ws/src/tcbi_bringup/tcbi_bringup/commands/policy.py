@@ -70,8 +70,10 @@ def run(args: argparse.Namespace) -> int:
         console.emit(facts)
     else:
         measured = facts.pop("measured", {})
-        rows = [[key, value, UNITS.get(key, "")] for key, value in {**facts, **measured}.items() if value != ""]
-        console.table(policy.policy_id, ["what", "value", "unit"], rows)
+        for title, shown in ((policy.policy_id, facts), ("measured in simulations", measured)):
+            rows = [[key, value, UNITS.get(key, "")] for key, value in shown.items() if value != ""]
+            if rows:
+                console.table(title, ["what", "value", "unit"], rows)
         print(POINTS)
     return 0
 
@@ -122,6 +124,8 @@ def _export(policy: Any, path: Path) -> str:
         raise PolicyError(f"{policy.policy_id} is a script and has no network to export; name a trained policy")
     if path.is_dir():
         raise PolicyError(f"--onnx: {path} is a folder; name a file, such as {path / policy.card.name}.onnx")
+    if path.suffix != ".onnx":
+        raise PolicyError(f"--onnx: got {path}, allowed is a file of the ending .onnx: {path.with_suffix('.onnx')}")
     if not path.parent.is_dir():
         raise PolicyError(f"{path.parent} is no folder; make it, or give another path to --onnx")
     replace_file(path, to_onnx(policy.mlp, policy.card))
@@ -132,12 +136,13 @@ def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any
     from tcbi_policy.artefact import Policy
     from tcbi_policy.evaluation import check_rig, draw_conditions, evaluate
     from tcbi_sim.store import LATEST
+    from tcbi_sim.tasks import tasks
 
     task = args.task or (policy.card.task if isinstance(policy, Policy) else "")
     if not task:
-        raise WrongCallError(f"--task: {policy.policy_id} belongs to no task; say --task balance or --task forward")
+        raise WrongCallError(f"--task: {policy.policy_id} belongs to no task; name one of {', '.join(tasks())}")
     model = console.load_model(store, args.model or LATEST)
     check_rig(policy.policy_id, model)
     rollouts, seed = args.rollouts or ROLLOUTS, SEED if args.seed is None else args.seed
     found = evaluate(policy, model, draw_conditions(model, task, rollouts, seed)).summary()
-    return {"task": task, "model": model.version, **found}
+    return {"task": task, "model": model.version, "rollouts": rollouts, "seed": seed, **found}

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         console.emit(result)
     else:
-        print(f"{outcome.reference or 'not kept'}: {outcome.message}")
+        print(f"{outcome.reference}: {outcome.message}" if outcome.reference else outcome.message)
     return 0
 
 

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from tcbi_bringup.arguments import at_least, folder_path
+from tcbi_bringup.arguments import at_least, folder_path, not_empty
 from tcbi_bringup.commands import console
 
 SUMMARY = (
@@ -18,12 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """How much, and of what."""
     parser.add_argument("--preset", default="hour", help="hour (on two cores; default) or full (days)")
     parser.add_argument(
-        "--robots", default="", metavar="N,N", help="numbers of emulated robots (default: the preset's)"
+        "--robots", type=not_empty, metavar="N,N", help="numbers of emulated robots (default: the preset's)"
     )
-    parser.add_argument("--tasks", default="", help="balance, forward, or both with a comma (default: both)")
+    parser.add_argument("--tasks", type=not_empty, help="balance, forward, or both with a comma (default: both)")
     parser.add_argument(
         "--methods",
-        default="",
+        type=not_empty,
         metavar="NAME,NAME",
         help="of fixed_dr, abc, simopt, bayesopt, tcbi_reward, tcbi_paper, tcbi, tcbi_effect (default: the preset's)",
     )
@@ -47,17 +47,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Go on with the study, and write what there is."""
-    from tcbi_bringup.study.experiment import Experiment, check_report
+    from tcbi_bringup.study.experiment import Experiment, asked, check_report
     from tcbi_bringup.study.notebook import Notebook, hold
     from tcbi_bringup.study.plan import chosen, of_what_is_there
     from tcbi_bringup.study.robots import Laboratory
 
-    plan = chosen(args.preset, args.robots, args.tasks, args.methods)
+    names = [given or "" for given in (args.robots, args.tasks, args.methods)]
+    plan = chosen(args.preset, *names)
     folder = (args.out or console.store_folder(args.store) / f"study-{args.preset}").expanduser().absolute()
     if args.report:
         check_report(plan, folder)
         there = Notebook(folder / "study.jsonl").keys()
-        plan = of_what_is_there(plan, there, args.robots, args.tasks, args.methods)
+        plan = of_what_is_there(plan, there, names, asked(folder))
         data = _report(args.preset, plan, folder)
     else:
         threads = args.threads or len(os.sched_getaffinity(0))

@@ -4,11 +4,12 @@ import argparse
 import dataclasses
 import math
 import os
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
 
-from tcbi_bringup.arguments import above, at_least, seed
+from tcbi_bringup.arguments import above, at_least, not_empty, seed
 from tcbi_bringup.commands import console
 from tcbi_bringup.errors import BringupError, WrongCallError
 
@@ -22,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preset", default="fast", help="fast (minutes, PPO) or paper (half a day and more, SAC as in the paper)"
     )
     parser.add_argument("--seed", type=seed, default=0, help="of everything that is drawn (default: 0)")
-    parser.add_argument("--out", default="", help="name in the store, or path of a .safetensors file (default: TASK-N)")
+    parser.add_argument(
+        "--out", type=not_empty, help="name in the store, or path of a .safetensors file (default: TASK-N)"
+    )
     console.add_model(parser, "model version whose parameters are drawn")
     parser.add_argument("--start", default="", help="policy to go on from (default: from scratch)")
     parser.add_argument(
@@ -73,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         for event in process.events():
             follow(event, advance)
             done = event if event["event"] == "done" else done
-    path = _publish(folder, args.out, store.root)
+    path = _publish(folder, args.out or "", store.root)
     result = {"policy": str(path), "policy_id": f"{path.stem}@{done['policy_id'].partition('@')[2]}", "task": args.task,
               "model": planned.model, "steps": done["steps"],
               "mean_return": done["mean_return"], "best_steps": done["best_steps"],
@@ -102,7 +105,7 @@ def plan(args: argparse.Namespace, store: Any) -> Any:
     from tcbi_policy.retraining import fine_tuning, randomisation_of
     from tcbi_policy.runs import Run
 
-    check_place(args.out, store.root)
+    check_place(args.out or "", store.root)
     config, model = preset(args.preset, args.task), store.load(args.model)
     check_rig(f"of {args.task}", model)
     changes: dict[str, Any] = {"seed": args.seed, "budget_s": args.budget, "prior": args.prior}
@@ -141,6 +144,8 @@ def check_place(out: str, root: Path) -> None:
         raise WrongCallError(
             f"--out: got {out!r}, allowed is a name, or a path that ends in one; it begins with no dot"
         )
+    if out and out == name and not out.endswith(".safetensors"):
+        _check_name(out)
     if out.endswith(os.sep) or (os.sep in out and Path(out).expanduser().is_dir()):
         raise WrongCallError(f"--out: {out} is a folder; add the policy's name, such as {Path(out) / 'mine'}")
     stem = _stem(out or "any", root)
@@ -152,6 +157,16 @@ def check_place(out: str, root: Path) -> None:
             pass
     except OSError as e:
         raise BringupError(f"{stem.parent}: {e.strerror}; name a folder that can be written to") from e
+
+
+def _check_name(name: str) -> None:
+    """Refuse a name in the store that could not be told from another policy's."""
+    from tcbi_policy.artefact import policy_paths
+
+    if not re.fullmatch(r"\w[\w.-]*", name, re.ASCII) or name.endswith((".json", ".onnx")):
+        raise WrongCallError(f"--out: got {name!r}, allowed are letters, digits, _, - and dots, without an ending")
+    if name in policy_paths():
+        raise WrongCallError(f"--out: {name!r} is the name of a shipped policy, which it would hide; give another name")
 
 
 def _stem(out: str, root: Path) -> Path:

@@ -54,6 +54,7 @@ from tcbi_sim.sensing import add_noise
 from tcbi_sim.store import ModelStore
 
 PLAN = "plan.json"  # in the study's folder
+ASKED, ASKED_FOR = "asked", ("robots", "tasks", "contestants")  # what the newest call is to work on
 COLLECTING, DEPLOYING, MOTIONS = 1, 2, 3  # seeds of the scenarios
 DRAWS = 4  # simulations of each deployed scenario, each with parameters of its own, for the divergence
 EVALUATE_EVERY = 3  # sets of episodes: a short training has few of them, and the best moment is kept
@@ -72,9 +73,10 @@ class Experiment:
 
     def __init__(self, plan: Plan, folder: Path, laboratory: Laboratory, threads: int = 0):
         folder.mkdir(parents=True, exist_ok=True)
-        replace_file(folder / PLAN, json.dumps(_sizes_with(plan, folder), indent=1).encode())
         self.plan, self.folder, self.laboratory, self.threads = plan, folder, laboratory, threads
-        self.notebook = Notebook(folder / "study.jsonl")
+        self.notebook = Notebook(folder / "study.jsonl")  # a folder of something else is refused before it is changed
+        kept = _sizes_with(plan, folder) | {ASKED: dict(zip(ASKED_FOR, plan.names(), strict=True))}
+        replace_file(folder / PLAN, json.dumps(kept, indent=1).encode())
         self.store = ModelStore(folder / "store")
         self.strength = dict(plan.robots)
 
@@ -296,6 +298,12 @@ def check_report(plan: Plan, folder: Path) -> None:
             f"{folder} holds no study (it has no {PLAN}); give the --out of one, or begin one without --report"
         )
     _sizes_with(plan, folder)
+
+
+def asked(folder: Path) -> list[list[Any]]:
+    """Robots, tasks and contestants that the newest call of a study works on; empty lists where it is not known."""
+    told = json.loads((folder / PLAN).read_text()).get(ASKED, {})
+    return [told.get(name, []) for name in ASKED_FOR]
 
 
 def _sizes_with(plan: Plan, folder: Path) -> Result:

@@ -1,7 +1,7 @@
 """What a study does: robots, tasks, methods, and how much of everything."""
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,6 +81,10 @@ class Plan:
     contestants: tuple[str, ...] = tuple(CONTESTANTS)
     noise: tuple[float, ...] = (0.02, 0.04, 0.06, 0.08)
     diagnosis: demo.Plan = demo.QUICK
+
+    def names(self) -> tuple[list[int], list[str], list[str]]:
+        """Robots, tasks and contestants."""
+        return [robot for robot, _ in self.robots], list(self.tasks), list(self.contestants)
 
     def pieces(self) -> Iterator[Key]:
         """All pieces of work, robot by robot; each needs only those before it."""
@@ -163,25 +167,27 @@ def chosen(preset: str, robots: str = "", tasks: str = "", contestants: str = ""
     return plan
 
 
-def of_what_is_there(plan: Plan, keys: Iterable[Key], robots: str = "", tasks: str = "", contestants: str = "") -> Plan:
-    """The plan of a study as far as it has been worked on; what is named is taken as it is.
+def of_what_is_there(
+    plan: Plan, keys: Iterable[Key], named: Sequence[str] = ("", "", ""), asked: Sequence[Iterable[Any]] = ((), (), ())
+) -> Plan:
+    """The plan of a study as far as it has been worked on, or is to be; what is named is taken as it is.
 
     Args:
       plan: by `chosen`, with these names.
       keys: of the pieces that there are.
-      robots, tasks, contestants: as they were given to `chosen`.
+      named: robots, tasks, contestants, as they were given to `chosen`.
+      asked: robots, tasks, contestants that the study's newest call is to work on.
     """
-    tried = [key for key in keys if len(key) > 2]
-    known = {key[-1] if key[0] == "diagnose" else key[2] for key in keys}
-    if not robots and known:
+    robots = {key[-1] if key[0] == "diagnose" else key[2] for key in keys} | set(asked[0])
+    tasks = {key[1] for key in keys if len(key) > 2} | set(asked[1])
+    contestants = {key[3] for key in keys if len(key) > 3} | set(asked[2])
+    if robots and not named[0]:
         strength = dict(plan.robots)
-        plan = dataclasses.replace(plan, robots=tuple((n, strength.get(n, "strong")) for n in sorted(known)))
-    if not tasks and tried:
-        met = {key[1] for key in tried}
-        plan = dataclasses.replace(plan, tasks={name: of for name, of in plan.tasks.items() if name in met})
-    if not contestants and any(len(key) > 3 for key in tried):
-        names = {key[3] for key in tried if len(key) > 3}
-        plan = dataclasses.replace(plan, contestants=tuple(name for name in CONTESTANTS if name in names))
+        plan = dataclasses.replace(plan, robots=tuple((n, strength.get(n, "strong")) for n in sorted(robots)))
+    if tasks and not named[1]:
+        plan = dataclasses.replace(plan, tasks={name: of for name, of in plan.tasks.items() if name in tasks})
+    if contestants and not named[2]:
+        plan = dataclasses.replace(plan, contestants=tuple(name for name in CONTESTANTS if name in contestants))
     return plan
 
 

@@ -4,10 +4,12 @@ with Laboratory(workers=2) as laboratory:
     measurements = laboratory.run([Order(11, "strong", scenario, policy.path, sigma=0.0, trial=3), ...])
 """
 
+import contextlib
 import multiprocessing
 import os
+import signal
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -63,6 +65,16 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits meanwhile, and processes that are started here never hear of it: their parent ends them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class Laboratory:
     """Processes in which robots move; with one worker they move in this one."""
 
@@ -82,7 +94,11 @@ class Laboratory:
           BrokenProcessPool: a process died, for want of memory perhaps; the next call has new ones.
         """
         try:
-            return list(self._pool.map(done, orders) if self._pool else map(done, orders))
+            if not self._pool:
+                return [done(order) for order in orders]
+            with _interrupts_held():  # the pool starts its processes here
+                results = [self._pool.submit(done, order) for order in orders]
+            return [result.result() for result in results]
         except BrokenProcessPool:
             self._pool = self._new_pool()
             raise
