@@ -33,6 +33,7 @@ def test_a_policy_is_exported_with_its_card(tmp_path: Path, capsys: pytest.Captu
     [
         (("gait:stand", "--onnx", "x.onnx"), "no network to export"),
         (("balance", "--onnx", "nowhere/x.onnx"), "nowhere is no folder"),
+        (("balance", "--onnx", "balance.json"), "--onnx: got balance.json, allowed is a file of the ending .onnx"),
         (("balance", "--onnx", "/"), "--onnx: / is a folder; name a file, such as /balance.onnx"),
     ],
 )

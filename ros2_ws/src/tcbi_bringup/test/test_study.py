@@ -246,6 +246,9 @@ def test_a_report_shows_what_was_worked_on_unless_something_is_named() -> None:
     named = of_what_is_there(chosen("hour", robots="12", tasks="forward"), keys, ("12", "forward", ""))
     assert named.robots == ((12, "strong"),) and list(named.tasks) == ["forward"]
     assert of_what_is_there(PRESETS["hour"], []) == PRESETS["hour"]
+    asked = of_what_is_there(PRESETS["hour"], keys, asked=([11, 14], ["forward"], ["tcbi"]))
+    assert [n for n, _ in asked.robots] == [11, 13, 14] and list(asked.tasks) == ["balance", "forward"]
+    assert asked.contestants == ("abc", "tcbi")
 
 
 def test_every_piece_has_a_share_of_the_estimate() -> None:

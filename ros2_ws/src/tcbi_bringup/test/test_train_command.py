@@ -72,6 +72,20 @@ def test_a_policy_that_is_there_is_not_written_over(tmp_path: Path) -> None:
             planned(tmp_path, "--out", folder)
 
 
+@pytest.mark.parametrize(
+    ("out", "said"),
+    [
+        ("gait:stand", "allowed are letters, digits"),
+        ("two words", "allowed are letters, digits"),
+        ("balance.json", "without an ending"),
+        ("balance", "'balance' is the name of a shipped policy, which it would hide"),
+    ],
+)
+def test_a_name_that_could_not_be_told_from_another_policy_s_is_refused(tmp_path: Path, out: str, said: str) -> None:
+    with pytest.raises(WrongCallError, match=f"--out: .*{said}"):
+        planned(tmp_path, "--out", out)
+
+
 def test_sac_does_not_go_on_from_a_policy(tmp_path: Path) -> None:
     with pytest.raises(WrongCallError, match=r"--start: the preset paper .*--preset fast"):
         planned(tmp_path, "--preset", "paper", "--start", "balance")

@@ -133,6 +133,8 @@ def test_weights_of_another_card_are_refused(tmp_path: Path) -> None:
     ("damage", "says"),
     [
         *((text, "copy both files again") for text in ("{}", "not json", "[]", "[" * 100_000)),
+        ("[1]", "got .*, allowed is an object of entries"),
+        ('{"format": 1, "hello": 2}', "its card has entries that none has: hello"),
         (
             '{"format": 99}',
             r"card\.format: got 99, allowed is 1; another version of tcbi wrote it: use that one, or",
@@ -144,6 +146,22 @@ def test_a_damaged_card_is_named_with_what_to_do(tmp_path: Path, damage: str, sa
     path.with_suffix(".json").write_text(damage)
     with pytest.raises(PolicyDamaged, match=rf"level\.safetensors: .*{says}"):
         load_policy(path)
+
+
+def test_a_result_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    card = json.loads(path.with_suffix(".json").read_text())
+    card["training"]["mean_return"] = "abc"
+    path.with_suffix(".json").write_text(json.dumps(card))
+    with pytest.raises(PolicyDamaged, match=r"card\.training\.mean_return: got 'abc', allowed is a finite number"):
+        load_policy(path)
+
+
+def test_a_card_or_a_folder_in_place_of_a_policy_is_named_as_that(tmp_path: Path) -> None:
+    with pytest.raises(PolicyNotFound, match=r"level\.json is a card; name the policy beside it, .*level\.safetensors"):
+        load_policy(saved(tmp_path).with_suffix(".json"))
+    with pytest.raises(PolicyNotFound, match=r"is a folder; name a \.safetensors file"):
+        load_policy(tmp_path)
 
 
 def with_weights(folder: Path, data: bytes) -> Path:

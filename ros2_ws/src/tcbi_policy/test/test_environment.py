@@ -19,6 +19,21 @@ from tcbi_sim.tasks import Task, including
 MODEL = base_model("hexapod")
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_action_that_is_no_number_is_refused(value: float) -> None:
+    environment = HexapodEnv(MODEL, "balance", 3)
+    environment.reset()
+    action = np.zeros(18)
+    action[4] = value
+    with pytest.raises(ValueError, match=r"action: got .*allowed is finite numbers"):
+        environment.step(action)
+
+
+def test_a_step_before_an_episode_says_what_is_missing() -> None:
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        HexapodEnv(MODEL, "balance").step(np.zeros(18))
+
+
 @pytest.fixture(scope="module")
 def episode() -> tuple[HexapodVectorEnv, list[np.ndarray], np.ndarray, list[dict]]:
     """One balance episode of four simulations under a gait: observations, rewards (steps, B), infos."""
