@@ -55,9 +55,9 @@ class Split:
 
 def same_scenario(a: Scenario, b: Scenario) -> bool:
     """Whether two rollouts took place in the same surroundings, from the same start."""
-    start: dict[str, Any] = {"initial_joint_position": None, "initial_joint_velocity": None}
-    level = {"slope_roll": 0.0, "slope_pitch": 0.0}
-    plain = [dataclasses.replace(s, seed=0, duration=0.0, **level, **start) for s in (a, b)]
+    near: dict[str, Any] = {"initial_joint_position": None, "initial_joint_velocity": None}
+    near |= {"slope_roll": 0.0, "slope_pitch": 0.0, "seed": 0, "duration": 0.0}
+    plain = [dataclasses.replace(s, **near) for s in (a, b)]
     return (
         plain[0] == plain[1]
         and _near((a.slope_roll, a.slope_pitch), (b.slope_roll, b.slope_pitch), SAME_SLOPE)
