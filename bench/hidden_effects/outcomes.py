@@ -75,6 +75,6 @@ def _of_several(result: Result) -> str:
 
 
 def _said(result: dict[str, Any]) -> str:
-    if result["verdict"] != EFFECT:
+    if not result["found"]:
         return str(result["verdict"]).replace("_", " ")
     return " + ".join(use.partition(":")[0] for use in result["found"])

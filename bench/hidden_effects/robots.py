@@ -17,7 +17,7 @@ from tcbi_bringup.errors import BringupError
 from tcbi_infer.collection import Request, scenario_of
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.diagnose.adopt import adopt
-from tcbi_infer.diagnose.evidence import EFFECT, Diagnosis
+from tcbi_infer.diagnose.evidence import Diagnosis
 from tcbi_infer.diagnose.rounds import MOST, rounds
 from tcbi_policy.gaits import Gait
 from tcbi_sim.measurement import Measurement
@@ -62,7 +62,7 @@ def judged(job: Job) -> Result:
     unseen = recorded(robot, recordings(plan.unseen, len(plan.unseen)), plan.motion_s, 100)
     model = base_model("hexapod")
     began, cpu = time.perf_counter(), time.process_time()
-    found, added = _diagnosed(model, seen, plan, MOST if len(parts(hidden)) > 1 else 1)
+    found, uses, added = _diagnosed(model, seen, plan, MOST if len(parts(hidden)) > 1 else 1)
     spent = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
     floor = compare(model, seen, particles=0).floor
     versions = {"unfitted": model, "fitted": adopt(model, "", found[0].to_json()), "added": added}
@@ -70,7 +70,7 @@ def judged(job: Job) -> Result:
         "format": FORMAT,
         **dict(zip(("plan", "hidden", "strength", "seed"), job, strict=True)),
         **_told(found[0]),
-        "found": [use for d in found if d.verdict == EFFECT for use in d.uses[:1]],
+        "found": uses,
         "rounds": [_told(d) for d in found[1:]],
         "errors": {name: compare(m, unseen, particles=0, floor=floor).error_over_floor for name, m in versions.items()},
         "truth": robot.specimen.truth(),
@@ -79,11 +79,14 @@ def judged(job: Job) -> Result:
     }
 
 
-def _diagnosed(model: Model, seen: list[Measurement], plan: Plan, most: int) -> tuple[list[Diagnosis], Model]:
-    """Diagnoses, each of the version that the one before made, and the last version: at least fitted again."""
+def _diagnosed(
+    model: Model, seen: list[Measurement], plan: Plan, most: int
+) -> tuple[list[Diagnosis], list[str], Model]:
+    """Diagnoses, each of the version that the one before made, what was added, the last version (fitted at least)."""
     found = list(rounds(model, seen, most=most, uses=plan.effects or None, anyway=True, settings=plan.settings))
     last = found[-1]
-    return [r.diagnosis for r in found], last.added or adopt(last.model, "", last.diagnosis.to_json())
+    added = last.added or adopt(last.model, "", last.diagnosis.to_json())
+    return [r.diagnosis for r in found], [r.use for r in found if r.use], added
 
 
 def _told(found: Diagnosis) -> Result:

@@ -1,5 +1,6 @@
 """One effect after another: what is tried next, when the search ends and why."""
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,24 @@ from tcbi_infer.diagnose.rounds import rounds, steps
 from tcbi_sim.model import base_model
 
 CANDIDATES = ["a", "b", "c", "d"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Said:
+    """What a diagnosis said, as far as the search looks at it."""
+
+    verdict: str
+    uses: tuple[str, ...]
+    ranking: tuple[Any, ...]
+    errors: dict[str, float]
+    model: str = "m-v0"
+
+    def to_json(self) -> dict[str, Any]:
+        return {}
+
+
+def evidence(use: str, error: float, accepted: bool = True, alike: tuple[str, ...] = ()) -> Any:
+    return SimpleNamespace(use=use, error_after=error, accepted=accepted, confused_with=alike, refined=True)
 
 
 class Model(SimpleNamespace):
@@ -28,8 +47,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Any:
         def diagnosed(model: Any, _: Any, *, uses: list[str] | None) -> Any:
             asked.append(uses)
             verdict, use = verdicts[len(asked) - 1], CANDIDATES[len(asked) - 1]
-            errors = {"base": 9.0 - len(asked), use: 8.0 - len(asked)}
-            return SimpleNamespace(verdict=verdict, uses=(use,), errors=errors, to_json=dict)
+            return Said(verdict, (use,), (evidence(use, 8.0 - len(asked)),), {"base": 9.0 - len(asked)})
 
         def adopted(model: Any, use: str, _: Any) -> Any:
             return Model(version=f"m-v{len(asked)}", effects=(*model.effects, use))
@@ -93,3 +111,79 @@ def test_two_hidden_effects_are_found_one_after_the_other():
     fell = [error for _, error in steps(found)]
     assert fell == sorted(fell, reverse=True) and fell[-1] < 1.3
     assert all(set(r.diagnosis.sealed) == set(found[0].diagnosis.sealed) for r in found)
+
+
+@pytest.fixture
+def facts(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Let diagnoses follow from facts: by the effects of a model and the only candidate, if there is one."""
+
+    def plan(says: dict[tuple[tuple[str, ...], str], Said]) -> None:
+        def diagnosed(model: Any, _: Any, *, uses: list[str] | None) -> Any:
+            only = uses[0] if uses and len(uses) == 1 else ""
+            return dataclasses.replace(says[tuple(sorted(model.effects)), only], model=model.version)
+
+        def adopted(model: Any, use: str, _: Any) -> Any:
+            effects = (*model.effects, use)
+            return Model(version="m+" + "+".join(effects), effects=effects)
+
+        monkeypatch.setattr(module, "diagnose", diagnosed)
+        monkeypatch.setattr(module, "adopt", adopted)
+        monkeypatch.setattr(module, "objection", lambda *_: "")
+
+    return plan
+
+
+def named(use: str) -> Said:
+    return Said("effect", (use,), (evidence(use, 1.0),), {"base": 2.0})
+
+
+def nothing(verdict: str = "nothing_missing") -> Said:
+    return Said(verdict, (), (evidence("d", 2.0, accepted=False),), {"base": 2.0})
+
+
+UNSURE = Said("cannot_tell", ("a", "b"), (evidence("a", 3.0), evidence("b", 3.1)), {"base": 5.0})
+PARTLY = Said("outside_library", (), (evidence("a", 7.0), evidence("b", 8.0, accepted=False)), {"base": 9.0})
+
+
+@pytest.mark.parametrize(
+    ("b_beside_a", "a_beside_b", "added"),
+    [(True, True, ("a", "b")), (False, True, ("a",)), (True, False, ("b",)), (False, False, ())],
+)
+def test_of_two_that_are_not_told_apart_what_each_is_beside_the_other_decides(facts, b_beside_a, a_beside_b, added):
+    facts({
+        ((), ""): UNSURE,
+        (("a",), "b"): named("b") if b_beside_a else nothing(),
+        (("b",), "a"): named("a") if a_beside_b else nothing(),
+        (("a",), ""): nothing(),
+        (("b",), ""): nothing(),
+        (("a", "b"), ""): nothing(),
+    })  # fmt: skip
+    found = list(rounds(Model(version="m-v0", effects=()), [], uses=CANDIDATES))
+    assert tuple(r.use for r in found if r.use) == added
+    assert bool(found[0].resolved) == bool(added) and found[-1].ending == "no effect is named"
+    assert [r.diagnosis.model for r in found] == [r.model.version for r in found]
+    if len(added) == 2:
+        assert "b is named beside a, and a beside b" in found[0].resolved
+
+
+def test_two_that_change_the_signals_alike_are_not_tried_beside_each_other(facts):
+    alike = (evidence("a", 3.0, alike=("b",)), evidence("b", 3.1, alike=("a",)))
+    facts({((), ""): dataclasses.replace(UNSURE, ranking=alike)})
+    (only,) = rounds(Model(version="m-v0", effects=()), [], uses=CANDIDATES)
+    assert only.added is None
+
+
+@pytest.mark.parametrize(
+    ("beside_a", "left", "a_beside_b", "added"),
+    [
+        (named("b"), nothing(), named("a"), ("a", "b")),
+        (nothing(), nothing(), named("a"), ()),
+        (named("b"), nothing("outside_library"), named("a"), ()),
+        (named("b"), nothing(), nothing(), ()),
+    ],
+)
+def test_two_that_only_together_explain_what_is_missing_are_added_and_no_less(facts, beside_a, left, a_beside_b, added):
+    facts({((), ""): PARTLY, (("a",), ""): beside_a, (("a", "b"), ""): left, (("b",), "a"): a_beside_b})
+    found = list(rounds(Model(version="m-v0", effects=()), [], uses=CANDIDATES))
+    assert tuple(r.use for r in found if r.use) == added
+    assert not added or found[0].resolved.startswith("Neither explains it alone")

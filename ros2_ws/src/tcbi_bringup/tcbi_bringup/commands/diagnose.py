@@ -78,12 +78,14 @@ def run(args: argparse.Namespace) -> int:
             paths.append(_write(args.report, one, found, store.folder("runs")))
             found.append(one)
             if one.added and args.add:
-                console.note(f"{one.diagnosis.statement} It is in {one.added.version} now")
+                console.note(f"{one.resolved or one.diagnosis.statement} {one.use} is in {one.added.version} now")
     if args.json:
         console.emit(_as_json(found, paths, saved=args.add))
         return 0
     for one, path in zip(found, paths, strict=True):
         _print(one.diagnosis, path, added=args.add)
+        if one.resolved:
+            print(one.resolved)
     if args.add:
         _print_steps(found)
     return 0
@@ -107,7 +109,13 @@ def _write(given: Path | None, one: "Round", earlier: "list[Round]", runs: Path)
 def _as_json(found: "list[Round]", paths: list[Path], *, saved: bool) -> dict[str, Any]:
     """The first diagnosis; those that followed, and the versions that were made, if any were saved."""
     first, *then = [
-        {**r.diagnosis.to_json(), "report": str(path), "added": r.added.version if saved and r.added else None}
+        {
+            **r.diagnosis.to_json(),
+            "report": str(path),
+            "added": r.added.version if saved and r.added else None,
+            "use": r.use or None,
+            "resolved": r.resolved or None,
+        }
         for r, path in zip(found, paths, strict=True)
     ]
     return {**first, "then": then}
@@ -116,6 +124,7 @@ def _as_json(found: "list[Round]", paths: list[Path], *, saved: bool) -> dict[st
 def _print(d: "Diagnosis", path: Path, *, added: bool) -> None:
     from tcbi_infer.diagnose import detectable, excitation
     from tcbi_infer.diagnose.adopt import objection
+    from tcbi_infer.diagnose.evidence import CANNOT_TELL
 
     for finding in d.guards:
         print(f"note: {finding}")
@@ -139,6 +148,10 @@ def _print(d: "Diagnosis", path: Path, *, added: bool) -> None:
         print(f"  {line}")
     for command in dict.fromkeys(m.command for m in excitation.best(d.next_motions) if m.command):
         print(f"next: {command}")
+    if not added and d.verdict == CANNOT_TELL and sum(e.accepted for e in d.ranking) > 1:
+        print(
+            "next: ./tcbi diagnose BAG… --add              # tries each of them beside the other: both may be missing"
+        )
     if not added and d.uses and not objection(d.to_json(), d.uses[0]):
         print(f"next: ./tcbi add {d.uses[0]} --model {d.model}")
     print(f"report: {path} ({d.seconds:.0f} s)")
