@@ -30,7 +30,7 @@ class Said:
 
 
 def evidence(use: str, error: float, accepted: bool = True, alike: tuple[str, ...] = ()) -> Any:
-    return SimpleNamespace(use=use, error_after=error, accepted=accepted, confused_with=alike, refined=True)
+    return SimpleNamespace(use=use, error_after=error, accepted=accepted, alike=alike, refined=True)
 
 
 class Model(SimpleNamespace):

@@ -135,7 +135,7 @@ class _Search:
 
     def _beside_each_other(self, model: Model, found: Diagnosis) -> list[_Step]:
         accepted = [e for e in found.ranking if e.accepted]
-        if found.verdict == CANNOT_TELL and len(accepted) > 1 and accepted[1].use not in accepted[0].confused_with:
+        if found.verdict == CANNOT_TELL and len(accepted) > 1 and accepted[1].use not in accepted[0].alike:
             return self._two(model, found, accepted[0].use, accepted[1].use)
         if found.verdict == OUTSIDE_LIBRARY and accepted:
             return self._second(model, found, accepted[0].use)
