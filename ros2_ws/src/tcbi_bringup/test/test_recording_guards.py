@@ -207,3 +207,12 @@ def test_joints_that_lag_alone_are_no_common_lag(clean, joints):
         delayed[4:, joints] = m.joint_position[:-4, joints]
         slow.append(with_joints(m, delayed))
     assert late_against(clean[::2], slow) == []
+
+
+def test_one_clock_that_leads_is_taken_out_of_all_rollouts_and_a_sound_one_is_left_alone(clean) -> None:
+    lag = [Following(m).lag for m in clean]
+    leading = aligned([late(m, -0.3) for m in clean]).measurements
+    shifts = [a.time[0] - m.time[0] + 0.3 for a, m in zip(leading, clean, strict=True)]
+    assert shifts == pytest.approx([0.3 - float(np.median(lag))] * 4, abs=0.02)
+    mixed = aligned([late(clean[0], -0.3), *clean[1:]]).measurements
+    assert all(a.time[0] == m.time[0] for a, m in zip(mixed[1:], clean[1:], strict=True))

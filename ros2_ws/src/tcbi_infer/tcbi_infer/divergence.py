@@ -157,13 +157,13 @@ def wasserstein(real: np.ndarray, simulated: np.ndarray, points: int = 200) -> n
 
     The range is that of the bins of `js`, which a few outliers do not stretch. Where it is less than `NARROW` of what
     range and simulated samples span together, as of a statistic that is constant on the robot, the distance is in
-    shares of `NARROW` of the latter: about 1 / `NARROW` at most.
+    shares of `NARROW` of the latter: 1 / `NARROW` at most.
     """
     finite = _finite(real)
     levels = (np.arange(points) + 0.5) / points
-    wanted = np.quantile(finite, levels)
     limits = Binning.of(finite)
     low, high = limits.low, limits.high
+    wanted = np.clip(np.quantile(finite, levels), low, high)
 
     def distance(row: np.ndarray) -> float:
         if not row.size:

@@ -91,6 +91,8 @@ def test_one_outlier_of_the_robot_does_not_shrink_the_wasserstein_distance_of_al
     real = np.linspace(0.0, 1.0, 400)
     shifted = real[None] + 0.5
     spoilt = np.append(real, 1000.0)
+    few = np.append(np.linspace(0.0, 1.0, 40), 1e6)
+    assert wasserstein(few, np.linspace(0.0, 1.0, 40)[None])[0] < 0.1, "nor does it make a right simulation wrong"
     assert wasserstein(spoilt, shifted)[0] > 0.45 * wasserstein(real, shifted)[0], "the outlier may double the range"
 
 

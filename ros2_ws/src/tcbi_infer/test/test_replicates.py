@@ -58,12 +58,12 @@ def test_the_beginning_of_a_motion_is_of_its_kind():
     assert kinds([until(rollout(0.3, ""), n) for n in (10, 5, 3)]) == [0, 0, 0]
     still = dataclasses.replace(rollout(0.3, ""), commands=Commands(np.arange(3) * 0.2, np.zeros((3, 1))))
     assert kinds([rollout(0.3, ""), still]) == [0, 1], "to stand still is no motion's beginning"
-
-
-def test_a_repeat_that_was_stopped_is_a_repeat_as_far_as_it_goes():
-    whole = rollout(0.3, "gait:steps")
-    assert [s.members for s in find_replicates([whole, until(whole, 8)])] == [(0, 1)]
-    assert len(find_replicates([whole, until(whole, 5)])) == 2
+    posture = np.tile([0.0, 0.5], (3, 1))
+    hold, swing = (
+        Commands(np.arange(len(t)) * 0.2, t) for t in (posture, np.concatenate([posture, 0.9 - posture] * 3))
+    )
+    assert not same_motion(hold, swing), "nor is to hold a posture, whose joints differ"
+    assert not same_motion(*(Commands(np.arange(n) * 0.1, np.zeros((n, 1))) for n in (5, 50)), torque=True)
 
 
 def test_a_repeat_may_stand_a_degree_off_and_its_slope_be_noted_a_little_otherwise():

@@ -8,6 +8,7 @@ import pytest
 from bench_recordings import BASE, NOISE, record
 
 from tcbi_infer.compare import compare
+from tcbi_infer.compare.noise import autocorrelation_time
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose.settings import QUICK
@@ -31,14 +32,13 @@ def motion() -> list[Measurement]:
         bench_recordings.NOISE = noise
 
 
-def sampled(motion: list[Measurement], rate: float, begin: float = 0.013) -> list[Measurement]:
-    """Every motion twice, read `rate` times a second."""
+def sampled(motion: list[Measurement], rate: float, begins: tuple[float, float] = (0.013, 0.013)) -> list[Measurement]:
+    """Every motion twice, read `rate` times a second from some moment on."""
     rng = np.random.default_rng(0)
-    time = np.arange(begin, 5.0, 1.0 / rate)
     rollouts = []
     for m in motion:
-        read = m.resampled(time, curved=True)
-        for repeat in range(2):
+        for repeat, begin in enumerate(begins):
+            read = m.resampled(np.arange(begin, 5.0, 1.0 / rate), curved=True)
             noisy = read.joint_position + rng.normal(0, NOISE, read.joint_position.shape)
             rollouts.append(dataclasses.replace(read, rollout_id=f"{m.policy_id}_{repeat}", joint_position=noisy))
     return rollouts
@@ -52,6 +52,24 @@ def test_the_true_model_errs_by_no_more_than_the_noise_of_a_slow_recording(motio
     assert servo.noise_floor == pytest.approx(np.degrees(NOISE), rel=0.15)
 
 
+def test_repeats_that_read_at_other_moments_are_repeats(motion):
+    found = compare(true_model(), sampled(motion, 20.0, (0.013, 0.041)), particles=2)
+    (servo,) = [s for s in found.signals if s.name == "servo"]
+    assert servo.floor_from == "replicates"
+    assert 0.8 < servo.noise_floor / np.degrees(NOISE) < 2.0
+    assert found.error_over_floor < 1.4
+
+
+def test_the_independent_samples_of_a_slow_recording_are_counted_among_its_readings():
+    rng = np.random.default_rng(0)
+    dense = np.zeros((40, 1000, 1))
+    for t in range(1, 1000):
+        dense[:, t] = 0.97 * dense[:, t - 1] + rng.normal(size=(40, 1))
+    sparse = np.full_like(dense, np.nan)
+    sparse[:, ::5] = dense[:, ::5]
+    assert autocorrelation_time(sparse) == pytest.approx(autocorrelation_time(dense[:, ::5]), rel=0.05)
+
+
 def test_only_samples_next_to_readings_are_compared_and_pictures_show_all(motion):
     replay = Replay.of(MODEL, sampled(motion, 10.0))
     per_second = np.isfinite(replay.measured[0, :, 0]).sum() / 5.0
@@ -60,7 +78,7 @@ def test_only_samples_next_to_readings_are_compared_and_pictures_show_all(motion
 
 
 def test_readings_half_a_sample_beside_the_grid_count_too(motion):
-    replay = Replay.of(MODEL, sampled(motion, 50.0, begin=0.0149))
+    replay = Replay.of(MODEL, sampled(motion, 50.0, (0.0149, 0.0149)))
     assert np.isfinite(replay.measured[0, :, 0]).mean() > 0.45
 
 

@@ -9,6 +9,7 @@ so an effect that reaches over to other simulations shows there.
 """
 
 import dataclasses
+import itertools
 from dataclasses import dataclass
 
 import mujoco
@@ -145,9 +146,9 @@ def _idle(use: EffectUse, out: SimulatedRollouts) -> list[str]:
     """Parameters that change nothing from one end of their range to the other, the others at their nominal values."""
     faults = []
     for i, p in enumerate(use.parameters):
-        ends = 2 + 2 * i, 3 + 2 * i  # as `rows` has them
-        each = (getattr(out, name) for name in SIGNALS)
-        if all(values is None or np.array_equal(values[ends[0]], values[ends[1]]) for values in each):
+        tried = 1, 2 + 2 * i, 3 + 2 * i  # as `rows` has them: nominal, both ends
+        each = [values for name in SIGNALS if (values := getattr(out, name)) is not None]
+        if all(np.array_equal(values[a], values[b]) for values in each for a, b in itertools.combinations(tried, 2)):
             own = p.name.rpartition(".")[2]
             faults.append(f"parameter {own!r} changes nothing from {p.low:g} to {p.high:g}; use it, or leave it out")
     return faults

@@ -201,7 +201,7 @@ def aligned(measurements: Sequence[Measurement], followings: Sequence[Following]
     followings = followings or [Following(m) for m in measurements]
     lags = np.array([np.nan if f.off_unit else f.lag for f in followings])
     leading = np.array([f.leads and not f.off_unit for f in followings], bool)
-    shift, usual = _leads(lags, leading)
+    shift, usual = _leads(lags, leading, followings)
     findings: list[list[str]] = [[] for _ in measurements]
     for r in np.flatnonzero(shift):
         lead = f" by {-1000 * lags[r]:.0f} ms" if leading[r] else ", as those of other rollouts show"
@@ -223,23 +223,30 @@ def aligned(measurements: Sequence[Measurement], followings: Sequence[Following]
     return Aligned(tuple(moved), tuple(tuple(f) for f in findings))
 
 
-def _leads(lags: np.ndarray, leading: np.ndarray) -> tuple[np.ndarray, float]:
+def _leads(lags: np.ndarray, leading: np.ndarray, followings: Sequence[Following]) -> tuple[np.ndarray, float]:
     """By how much (s) each rollout is to come later, as its joints lead their commands, and the lag of the others.
 
-    Where most lags are negative and agree, one clock leads in all rollouts, also in those whose motion shows it less.
+    Where most of them lead alike it is one clock, which leads in all whose motion does not speak against it.
 
     Args:
       lags: (R,) s, NaN where a motion does not tell.
       leading: (R,) bool, rollouts that no lag of a robot explains.
+      followings: (R) how joints follow.
     """
     known = np.isfinite(lags)
-    early, sound = known & (lags < 0), known & (lags > LEADS) & (lags < LONGEST)
-    if leading.any():
-        middle = float(np.median(lags[early]))
-        if 2 * np.sum(np.abs(lags[early] - middle) <= 2 * BETWEEN) >= known.sum():
-            return np.full(len(lags), -middle), 0.0
+    sound = known & (lags > LEADS) & (lags < LONGEST)
     usual = float(np.median(lags[sound])) if sound.any() else 0.0
-    return np.where(leading, usual - lags, 0.0), usual
+    shift = np.where(leading, usual - lags, 0.0)
+    if not leading.any():
+        return shift, usual
+    middle = float(np.median(lags[leading]))
+    alike = known & (lags < 0) & (np.abs(lags - middle) <= 2 * BETWEEN)
+    if 2 * alike.sum() <= known.sum():
+        return shift, usual
+    allows = [f.missed(middle) <= NEARLY * f.missed(lag) for f, lag in zip(followings, lags, strict=True) if lag == lag]
+    one_clock = ~known | alike
+    one_clock[known] |= np.array(allows, bool)
+    return np.where(one_clock, -middle, shift), 0.0
 
 
 def _shifted(m: Measurement, by: float) -> Measurement:
@@ -269,8 +276,7 @@ def common_shift(a: Measurement, b: Measurement) -> float:
     NaN unless nearly all moving signals, joints and body alike, agree on it.
     """
     rate = 1.0 / STEP
-    both = min(len(a.commands.time), len(b.commands.time))
-    asked = float(np.mean(b.commands.time[:both] - a.commands.time[:both])) if both else 0.0
+    asked = float(np.mean(b.commands.time - a.commands.time)) if len(a.commands.time) == len(b.commands.time) else 0.0
     end = min(a.time[-1], b.time[-1])
     time = np.arange(max(a.time[0], b.time[0]), end, STEP)
     if len(time) < 4 * BETWEEN_REACH * rate:

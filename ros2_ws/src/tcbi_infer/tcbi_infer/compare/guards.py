@@ -98,8 +98,7 @@ def _uneven_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
                 findings[whole[i]].append(
                     f"Ends at {ends[i]:.1f} s, a repeat of the same commands at {last:.1f} s{ALONE}"
                 )
-        each = [measurements[whole[i]].commands.time for i in group.members]
-        times = np.stack([time[: min(map(len, each))] for time in each])
+        times = np.stack([measurements[whole[i]].commands.time for i in group.members])
         if (apart := float(np.ptp(times, axis=0).max())) > APART:
             findings[whole[group.members[0]]].append(
                 f"Its commands and those of its repeats came up to {1e3 * apart:.0f} ms apart, and the noise floor "

@@ -135,8 +135,10 @@ def from_fast_changes(residual: np.ndarray, readings: np.ndarray | None = None, 
 def autocorrelation_time(values: np.ndarray) -> float:
     """Samples that one independent sample stands for: 1 + 2 sum of autocorrelations, up to their first negative.
 
+    Lags at which no two samples were measured, as between the readings of a slow recording, have no say.
+
     Args:
-      values: (R, T, C) residuals; NaN counts as zero.
+      values: (R, T, C) residuals; NaN where nothing was measured.
     """
     valid = np.isfinite(values)
     count = np.maximum(valid.sum(axis=1, keepdims=True), 1)
@@ -146,7 +148,9 @@ def autocorrelation_time(values: np.ndarray) -> float:
     correlation = np.fft.irfft(spectrum, axis=1)[:, :length].sum(axis=(0, 2))
     if correlation[0] <= 0:
         return 1.0
-    rho = correlation / correlation[0]
+    seen = np.abs(np.fft.rfft(valid.astype(float), n=2 * length, axis=1)) ** 2
+    pairs = np.fft.irfft(seen, axis=1)[:, :length].sum(axis=(0, 2))
+    rho = (correlation / correlation[0])[pairs > 0.5]
     negative = np.nonzero(rho < 0)[0]
-    stop = int(negative[0]) if len(negative) else length
+    stop = int(negative[0]) if len(negative) else len(rho)
     return float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))

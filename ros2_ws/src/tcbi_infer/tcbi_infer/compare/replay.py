@@ -163,7 +163,22 @@ class Replay:
 
     def noise_floor(self, residual: np.ndarray) -> NoiseFloor:
         """The floor from these rollouts' repeats, else from their residual (R, T, C)."""
-        return noise_floor(self.layout, self.measured, residual, self.replicates, self.readings)
+        beside = self.measured.copy()
+        for group in self.replicates:
+            own = list(group.members)
+            if len(own) > 1 and self.slow[own].all():  # which seldom read at the same moments
+                beside[own] = np.where(np.isfinite(self.measured[own]).any(axis=0), self.shown[own], np.nan)
+        return noise_floor(self.layout, beside, residual, self.replicates, self.readings)
+
+    @cached_property
+    def slow(self) -> np.ndarray:
+        """(R,) bool: rollouts that read so seldom that samples between are no measurement."""
+        return (np.isfinite(self.shown) & ~np.isfinite(self.measured)).any(axis=(1, 2))
+
+    def repeated(self, number: int) -> np.ndarray:
+        """(r, T, C) the repeats of a set as they differ over time, slow ones by the curves through their readings."""
+        own = list(self.repeats[number])
+        return np.where(self.slow[own, None, None], self.shown[own], self.measured[own])
 
     @cached_property
     def repeats(self) -> tuple[tuple[int, ...], ...]:
@@ -224,8 +239,7 @@ def _spoilt(layout: Layout, m: Measurement, time: np.ndarray) -> np.ndarray:
 def _asked(measurements: Sequence[Measurement], group: Replicates, duration: float) -> tuple[Scenario, Commands]:
     """What a set of replicates was asked for; jitter of the command times is averaged."""
     members = [measurements[i] for i in group.members]
-    times = [m.commands.time for m in members]
-    longest = members[int(np.argmax([len(time) for time in times]))].commands
-    mean = [np.mean([time[k] for time in times if k < len(time)]) for k in range(len(longest.time))]
-    scenario = dataclasses.replace(members[0].scenario, duration=duration)
-    return scenario, dataclasses.replace(longest, time=np.array(mean))
+    first = members[0]
+    time = np.mean([m.commands.time for m in members], axis=0)
+    scenario = dataclasses.replace(first.scenario, duration=duration)
+    return scenario, dataclasses.replace(first.commands, time=time)

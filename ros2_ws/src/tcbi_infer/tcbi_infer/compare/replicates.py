@@ -21,7 +21,6 @@ SAME_SLOPE = 2e-3  # rad
 SAME_SPEED = 0.05  # rad/s; a start in motion is measured no better
 SAME_TIME = 0.1  # s, jitter of a live command stream; half a control period
 SAME_SHAPE = 0.1  # of a motion's spread
-LEAST_SHARED = 2 / 3  # of the longer of two command streams that are the same: a repeat that was stopped
 MOVES = 0.02  # rad, standard deviation of a beginning that tells one motion from another
 MIN_KINDS = 5  # of fewer kinds no false-alarm rate is told
 SCRIPTED = "gait:"  # begins the name of a policy that is known to act without feedback
@@ -53,15 +52,21 @@ class Split:
         return tuple(i for fold in self.folds for i in fold)
 
 
-def same_scenario(a: Scenario, b: Scenario) -> bool:
-    """Whether two rollouts took place in the same surroundings, from the same start."""
+def same_scenario(a: Scenario, b: Scenario, torque: bool = False) -> bool:
+    """Whether two rollouts took place in the same surroundings, from the same start.
+
+    Args:
+      a: one rollout's.
+      b: the other's.
+      torque: of joints that are moved by torques, which a start goes with all the way; servos leave it behind.
+    """
     near: dict[str, Any] = {"initial_joint_position": None, "initial_joint_velocity": None}
     near |= {"slope_roll": 0.0, "slope_pitch": 0.0, "seed": 0, "duration": 0.0}
     plain = [dataclasses.replace(s, **near) for s in (a, b)]
     return (
         plain[0] == plain[1]
         and _near((a.slope_roll, a.slope_pitch), (b.slope_roll, b.slope_pitch), SAME_SLOPE)
-        and _near(a.initial_joint_position, b.initial_joint_position, SAME_START)
+        and _near(a.initial_joint_position, b.initial_joint_position, SAME_TARGET if torque else SAME_START)
         and _near(a.initial_joint_velocity, b.initial_joint_velocity, SAME_SPEED)
     )
 
@@ -78,19 +83,17 @@ def by_torque(m: Measurement) -> bool:
 
 
 def same_commands(a: Commands, b: Commands, torque: bool = False) -> bool:
-    """Whether two command streams are the same up to the jitter of a live stream, as far as the shorter one goes.
+    """Whether two command streams are the same up to the jitter of a live stream.
 
     Args:
       a: one stream.
       b: the other one.
       torque: their targets are N m, else rad.
     """
-    n, longer = sorted((len(a.time), len(b.time)))
-    if a.target.shape[1:] != b.target.shape[1:] or n < LEAST_SHARED * longer or abs(a.ramp - b.ramp) >= 1e-6:
+    if a.target.shape != b.target.shape or abs(a.ramp - b.ramp) >= 1e-6:
         return False
     most = SAME_TORQUE * float(np.std(a.target)) if torque else SAME_TARGET
-    same = np.all(np.abs(a.target[:n] - b.target[:n]) <= most)
-    return bool(same and np.all(np.abs(a.time[:n] - b.time[:n]) < SAME_TIME))
+    return bool(np.all(np.abs(a.target - b.target) <= most)) and bool(np.all(np.abs(a.time - b.time) < SAME_TIME))
 
 
 def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
@@ -100,7 +103,7 @@ def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
         torque = by_torque(m)
         for group in groups:
             first = measurements[group[0]]
-            if same_scenario(first.scenario, m.scenario) and same_commands(first.commands, m.commands, torque):
+            if same_scenario(first.scenario, m.scenario, torque) and same_commands(first.commands, m.commands, torque):
                 group.append(i)
                 break
         else:
@@ -186,7 +189,8 @@ def same_motion(a: Commands, b: Commands, torque: bool = False, rate: float = 50
     grid = np.arange(0.0, max(end, 1.0 / rate), 1.0 / rate)
     first, second = (_held(c, grid) for c in (a, b))
     spread = max(float(np.std(first)), 0.0 if torque else SAME_TARGET)
-    if cut and spread < (0.0 if torque else MOVES):
+    moves = float(np.std(first, axis=0).max())
+    if cut and moves <= (0.0 if torque else MOVES):
         return False
     return bool(np.sqrt(np.mean((first - second) ** 2)) <= SAME_SHAPE * spread)
 

@@ -15,7 +15,7 @@ from tcbi_infer.compare.common_lag import LATENCIES, are_latencies, common_lag, 
 from tcbi_infer.compare.comparison import without_change
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter
-from tcbi_infer.compare.noise import NoiseFloor
+from tcbi_infer.compare.noise import NoiseFloor, mean_of
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
 from tcbi_infer.diagnose import excitation
@@ -300,7 +300,7 @@ class _Run:
         Against the base model held out; and, since its fit may have made up for a lag with slower servos, against the
         candidates that are a latency, as they would be without it.
         """
-        measured = self.problem.observed[self.sets]
+        measured = np.stack([mean_of(self.replay.repeated(s)) for s in self.sets])
         first = [self.replay.replicates[s].members[0] for s in self.sets]
         names = [self.replay.measurements[r].rollout_id for r in first]
         late = common_lag(self.replay.layout, self.replay.time, measured, base.held.predicted, names)

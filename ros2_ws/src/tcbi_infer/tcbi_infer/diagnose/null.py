@@ -62,7 +62,7 @@ def sign_patterns(kinds: int, draws: int, rng: np.random.Generator) -> np.ndarra
 def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
     """(D, S, T, C) noise of the sets' means, resampled from differences between replicates where there are any."""
     replay = problem.replay
-    recordings = [replay.measured[list(replay.repeats[s])] for s in sets]
+    recordings = [replay.repeated(s) for s in sets]
     differences = [_difference(values) for values in recordings if len(values) > 1]
     pool = np.array([d for d in differences if np.isfinite(d).any()])
     shape = (draws, len(sets), *problem.observed.shape[1:])
