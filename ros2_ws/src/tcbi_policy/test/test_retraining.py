@@ -217,7 +217,7 @@ def test_a_run_on_other_code_than_the_process_that_would_train_it_is_refused(
 ) -> None:
     folder = write_run(tmp_path / "run", plan(job(tmp_path)))
     monkeypatch.setattr(training_process, "LOADED", "code changed")
-    with pytest.raises(TrainingError, match=r"changed after the program .* had started; restart it"):
+    with pytest.raises(TrainingError, match=r"changed after the program .* had started; restart that"):
         train_run(folder, lambda event: None)
 
 
