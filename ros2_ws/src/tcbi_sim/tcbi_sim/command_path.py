@@ -53,18 +53,23 @@ class CommandPath:
         if self._pending and not self._ramp.any() and self._stepwise():
             return self._steps(midpoints) + self.fields.offset[:, None, :]
         times = midpoints[None, :, None]
-        out = self._value(times)
+        out: np.ndarray | None = None  # on the ramps so far; None where the next command's ramp covers all of it
         waiting = []
         for activation, target, ramp in self._pending:
             begins = activation <= midpoints[-1]
             if begins.any():
-                self._begin(begins, activation, target, ramp)
                 later = times >= activation[:, None, :]
-                out = self._value(times) if later.all() else np.where(later, self._value(times), out)
+                if later.all():
+                    self._begin(begins, activation, target, ramp)
+                    out = None
+                else:
+                    before = self._value(times) if out is None else out
+                    self._begin(begins, activation, target, ramp)
+                    out = np.where(later, self._value(times), before)
             if np.any(np.isfinite(activation) & ~begins):
                 waiting.append((np.where(begins, np.inf, activation), target, ramp))
         self._pending = waiting
-        return out + self.fields.offset[:, None, :]
+        return (self._value(times) if out is None else out) + self.fields.offset[:, None, :]
 
     def _stepwise(self) -> bool:
         """Whether every command in flight acts as a step."""

@@ -55,12 +55,12 @@ def draw_balance(rng: np.random.Generator, seed: int = 0) -> Scenario:
 
 def draw_forward(rng: np.random.Generator, seed: int = 0) -> Scenario:
     """Level ground with blocks all along the way, ahead of the robot and beside it."""
-    blocks = []
-    for _ in range(int(rng.integers(BLOCK_COUNT[0], BLOCK_COUNT[1] + 1))):
-        height = rng.uniform(*BLOCK_HEIGHT)
-        size = (rng.uniform(*BLOCK_LENGTH), rng.uniform(*BLOCK_LENGTH), height)
-        center = (rng.uniform(*FIELD_AHEAD), rng.uniform(-FIELD_ASIDE, FIELD_ASIDE), height / 2)
-        blocks.append(Block(center, size, rng.uniform(-math.pi, math.pi)))
+    count = int(rng.integers(BLOCK_COUNT[0], BLOCK_COUNT[1] + 1))
+    low, high = np.array([
+        BLOCK_HEIGHT, BLOCK_LENGTH, BLOCK_LENGTH, FIELD_AHEAD, (-FIELD_ASIDE, FIELD_ASIDE), (-math.pi, math.pi),
+    ]).T  # fmt: skip
+    drawn = rng.uniform(low, high, (count, len(low))).tolist()
+    blocks = [Block((x, y, height / 2), (long, wide, height), yaw) for height, long, wide, x, y, yaw in drawn]
     return Scenario("forward", 30.0, 0.0, 0.0, tuple(blocks), _posture(rng), seed=seed)
 
 

@@ -21,12 +21,15 @@ def write_terrain(fields: Fields, model: mujoco.MjModel, scenarios: Sequence[Sce
     pitch = np.array([s.slope_pitch for s in scenarios])
     ground = quaternion_from_rpy(roll, pitch, np.zeros(len(scenarios)))
     fields.model["body_quat"][:, fields.body("ground")] = ground
-    for b, scenario in enumerate(scenarios):
-        for i, block in enumerate(scenario.blocks):
-            geom = model.geom(f"block_{i}").id
-            half = np.array(block.size) / 2
-            fields.model["geom_pos"][b, geom] = block.center
-            fields.model["geom_size"][b, geom] = half
-            fields.model["geom_quat"][b, geom] = [np.cos(block.yaw / 2), 0, 0, np.sin(block.yaw / 2)]
-            fields.model["geom_rbound"][b, geom] = np.linalg.norm(half)
-            fields.model["geom_aabb"][b, geom] = [0, 0, 0, *half]
+    placed = [(b, i, block) for b, scenario in enumerate(scenarios) for i, block in enumerate(scenario.blocks)]
+    if not placed:
+        return
+    geoms = np.array([model.geom(f"block_{i}").id for i in range(max(i for _, i, _ in placed) + 1)])
+    where = np.array([b for b, _, _ in placed]), geoms[[i for _, i, _ in placed]]
+    half = np.array([block.size for _, _, block in placed]) / 2
+    yaw = np.array([block.yaw for _, _, block in placed])
+    fields.model["geom_pos"][where] = [block.center for _, _, block in placed]
+    fields.model["geom_size"][where] = half
+    fields.model["geom_quat"][where] = quaternion_from_rpy(np.zeros_like(yaw), np.zeros_like(yaw), yaw)
+    fields.model["geom_rbound"][where] = np.linalg.norm(half, axis=1)
+    fields.model["geom_aabb"][where] = np.concatenate([np.zeros_like(half), half], axis=1)
