@@ -51,6 +51,7 @@ EVALUATED_PER_S, LEAST_EVALUATED = 2.4, 16
 PAIRS_PER_S, FEWEST_PAIRS = 4.0, 32
 POLL_S = 0.1
 OUTCOME = "outcome.json"  # in the folder of a run: the comparison of its policy with its rival
+AGAIN = "again"  # in the event of a comparison that was made before, of the same weights
 Event = dict[str, Any]
 
 
@@ -185,8 +186,9 @@ def retrain(
     if comparison is None:
         message = "cancelled; the same request goes on from the last checkpoint"
         return Outcome(False, True, "", "", float("nan"), float("nan"), message)
+    again = comparison.pop(AGAIN, False)
     before, after = (math.nan if comparison[when] is None else comparison[when] for when in ("before", "after"))
-    statement = comparison["statement"]
+    statement = comparison["statement"] + (" (the same weights as before, whose verdict stands)" if again else "")
     reference, path = "", folder / "policy.safetensors"
     kept = publish(folder, store.root, run.config.task, comparison=comparison) if comparison["better"] else None
     if kept is not None and kept.path is not None:

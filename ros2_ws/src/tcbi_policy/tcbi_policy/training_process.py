@@ -25,7 +25,7 @@ from tcbi_policy.configuration import HIGHEST_SEED
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import Comparison, Evaluation, compare_paired, draw_conditions, evaluate, noisy
 from tcbi_policy.randomisation import divided, randomised
-from tcbi_policy.retraining import OUTCOME
+from tcbi_policy.retraining import AGAIN, OUTCOME
 from tcbi_policy.runs import ERRORS, FAILED, LOADED, Run, alone
 from tcbi_policy.training import Report, Training
 from tcbi_sim.model import Model
@@ -66,15 +66,15 @@ def _train_run(folder: Path, run: Run, report: Report) -> None:
         note = ", whose scenarios are new; too few particles bear weight to keep some from the training"
     with locked(store.root / "runs"):  # one is judged at a time, so that no two are the same attempt
         which = (rival.policy_id, run.model, run.config.task)
-        verdict = known_verdict(store.root, policy, *which)  # the same weights are not given a second chance
-        if verdict is None:
+        known = known_verdict(store.root, policy, *which)  # the same weights are not given a second chance
+        if known is None:
             attempt = next_attempt(store.root, *which)
             if not _unchanged(rival, policy):
                 report({"event": "comparing", "rival": rival.policy_id, "pairs": run.pairs})
             counted = {key: value for key, value in verdict_in(folder).items() if key == "attempt"}  # made here before
             verdict = counted | judge(rival, policy, unseen, run, attempt, note)
             replace_file(folder / OUTCOME, strict_json(verdict).encode())
-    report(verdict)
+    report(verdict if known is None else {**known, AGAIN: True})
 
 
 def judge(rival: Actor, policy: Policy, model: Model, run: Run, attempt: int, note: str = "") -> dict[str, Any]:

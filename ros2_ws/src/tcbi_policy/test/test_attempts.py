@@ -16,7 +16,7 @@ from tcbi_policy.attempts import FALSE_ALARMS, confidence, next_attempt, verdict
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import Comparison
 from tcbi_policy.gaits import Gait
-from tcbi_policy.retraining import OUTCOME, plan
+from tcbi_policy.retraining import AGAIN, OUTCOME, plan
 from tcbi_policy.runs import write_run
 from tcbi_policy.training import Training
 from tcbi_policy.training_process import judge, train_run
@@ -142,6 +142,7 @@ def test_another_network_is_another_attempt_and_the_same_one_has_its_verdict_alr
     verdicts = [event for event in told if event["event"] == "comparison"]
     assert looks == [1, 2]
     assert [found["attempt"] for found in verdicts] == [1, 1, 2]
+    assert [found.get(AGAIN, False) for found in verdicts] == [False, True, False]
     assert json.loads((folder / OUTCOME).read_text()) == json.loads(json.dumps(verdicts[-1]))
 
 
@@ -169,6 +170,7 @@ def test_weights_that_were_accepted_have_their_verdict_when_they_are_trained_aga
     rivals = ("stand", "stand", "squat")
     outcomes = [retraining.retrain(job(tmp_path, current=f"gait:{rival}"), print) for rival in rivals]
     assert [outcome.reference for outcome in outcomes] == ["balance-1"] * 3
-    assert outcomes[0] == outcomes[1] and looks == [1, 1]
+    again = f"{outcomes[0].message} (the same weights as before, whose verdict stands)"
+    assert dataclasses.replace(outcomes[0], message=again) == outcomes[1] and looks == [1, 1]
     model = ModelStore(tmp_path).load("latest").version
     assert [next_attempt(tmp_path, f"gait:{gait}", model, "balance") for gait in ("stand", "squat")] == [2, 2]
