@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.replicates import find_replicates, same_commands, same_motion
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 
@@ -73,6 +74,31 @@ def test_a_repeat_may_stand_a_degree_off_and_its_slope_be_noted_a_little_otherwi
 
     sets = find_replicates([stood(0.0, 0.1), stood(0.015, 0.101), stood(0.03, 0.1), stood(0.0, 0.11)])
     assert [s.members for s in sets] == [(0, 1), (2,), (3,)]
+
+
+def test_a_recording_that_is_nearly_a_repeat_is_told_with_what_keeps_it_from_being_one():
+    def told(**changes) -> list[str]:
+        one = rollout(0.3, "gait:steps")
+        second = dataclasses.replace(one, rollout_id="second", joint_position=one.joint_position + 0.1, **changes)
+        return [line for line in guard([one, second]) if "no repeat" in line]
+
+    def started(posture: float) -> Scenario:
+        return Scenario("balance", 2.0, initial_joint_position=(posture,))
+
+    def late(by: float) -> Commands:
+        whole = rollout(0.3, "gait:steps").commands
+        return dataclasses.replace(whole, time=whole.time + by * (whole.time > 0.5))
+
+    assert not told() and not told(scenario=started(0.015)) and not told(commands=late(0.09)), "these are repeats"
+    assert not told(scenario=started(0.11)) and not told(scenario=Scenario("forward", 2.0)), (
+        "these were not meant to be"
+    )
+    begins = "Asks for the same as r, but is no repeat of it: they differ in "
+    assert told(scenario=started(0.03))[0].startswith(begins + "the start of a joint by 0.03 rad (allowed 0.02)")
+    assert told(commands=late(0.14))[0].startswith(begins + "the time of a command by 0.14 s (allowed 0.1)")
+    stopped = until(rollout(0.3, ""), 7).commands
+    assert told(commands=stopped)[0].startswith(begins + "the number of commands (7 and 10)")
+    assert not told(commands=until(rollout(0.3, ""), 4).commands), "another, shorter motion"
 
 
 def passing(speed: float | None) -> Measurement:

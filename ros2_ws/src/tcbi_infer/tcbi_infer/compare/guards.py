@@ -11,7 +11,7 @@ import numpy as np
 
 from tcbi_infer.compare.clocks import LONGEST, MOVES, Following, aligned, clock_rate, correlation
 from tcbi_infer.compare.imu_guards import check_imu
-from tcbi_infer.compare.replicates import by_torque, find_replicates
+from tcbi_infer.compare.replicates import by_torque, find_replicates, nearly_repeats
 from tcbi_infer.gaps import sample_gaps, unusable
 from tcbi_sim.measurement import Measurement
 
@@ -44,8 +44,10 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
     followings = [Following(m) for m in measurements]
     rate = clock_rate(followings)
     clocks, odd = aligned(measurements, followings).findings, _uneven_repeats(measurements)
-    for m, following, artefacts, lacks in zip(measurements, followings, clocks, odd, strict=True):
-        for finding in dict.fromkeys((*m.notes, *check_recording(m, following), *_rate(rate), *artefacts, *lacks)):
+    near = _no_repeats(measurements)
+    for m, following, *others in zip(measurements, followings, clocks, odd, near, strict=True):
+        own = (*m.notes, *check_recording(m, following), *_rate(rate), *itertools.chain(*others))
+        for finding in dict.fromkeys(own):
             findings.setdefault(finding, []).append(m.rollout_id)
     sentences = []
     for finding, rollouts in findings.items():
@@ -103,6 +105,21 @@ def _uneven_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
             findings[whole[group.members[0]]].append(
                 f"Its commands and those of its repeats came up to {1e3 * apart:.0f} ms apart, and the noise floor "
                 "counts what that changes as the robot's own: record them again when the machine has nothing else to do"
+            )
+    return findings
+
+
+def _no_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
+    """Of each recording that has no repeat: with which it would be one, and what keeps it from being it."""
+    findings: list[list[str]] = [[] for _ in measurements]
+    whole = [r for r, m in enumerate(measurements) if len(m.commands.time) and len(m.time)]
+    groups = [[whole[i] for i in g.members] for g in find_replicates([measurements[r] for r in whole])]
+    for k, (one, *repeats) in enumerate(groups):
+        others = [group[0] for i, group in enumerate(groups) if i < k or (i > k and len(group) > 1)]
+        reasons = ((other, nearly_repeats(measurements[one], measurements[other])) for other in others if not repeats)
+        for other, why in itertools.islice(((other, why) for other, why in reasons if why), 1):
+            findings[one].append(
+                f"Asks for the same as {measurements[other].rollout_id}, but is no repeat of it: they differ in {why}"
             )
     return findings
 

@@ -20,6 +20,7 @@ SAME_START = 0.02  # rad; a robot that is put down again does not stand closer t
 SAME_SLOPE = 2e-3  # rad
 SAME_SPEED = 0.05  # rad/s; a start in motion is measured no better
 SAME_TIME = 0.1  # s, jitter of a live command stream; half a control period
+NEARLY = 5.0  # times such a tolerance: who asked for the same came no further from it by accident
 SAME_SHAPE = 0.1  # of a motion's spread
 MOVES = 0.02  # rad, standard deviation of a beginning that tells one motion from another
 MIN_KINDS = 5  # of fewer kinds no false-alarm rate is told
@@ -60,21 +61,32 @@ def same_scenario(a: Scenario, b: Scenario, torque: bool = False) -> bool:
       b: the other's.
       torque: of joints that are moved by torques, which a start goes with all the way; servos leave it behind.
     """
+    return _same_but_for_measures(a, b) and all(apart < most for _, apart, most, _ in _apart(a, b, torque))
+
+
+def _same_but_for_measures(a: Scenario, b: Scenario) -> bool:
+    """Whether what is not measured is the same of two scenarios, seeds and durations aside."""
     near: dict[str, Any] = {"initial_joint_position": None, "initial_joint_velocity": None}
     near |= {"slope_roll": 0.0, "slope_pitch": 0.0, "seed": 0, "duration": 0.0}
-    plain = [dataclasses.replace(s, **near) for s in (a, b)]
-    return (
-        plain[0] == plain[1]
-        and _near((a.slope_roll, a.slope_pitch), (b.slope_roll, b.slope_pitch), SAME_SLOPE)
-        and _near(a.initial_joint_position, b.initial_joint_position, SAME_TARGET if torque else SAME_START)
-        and _near(a.initial_joint_velocity, b.initial_joint_velocity, SAME_SPEED)
-    )
+    return dataclasses.replace(a, **near) == dataclasses.replace(b, **near)
 
 
-def _near(a: tuple[float, ...] | None, b: tuple[float, ...] | None, most: float) -> bool:
-    """Whether two starts are the same; None is zero everywhere."""
+def _apart(a: Scenario, b: Scenario, torque: bool) -> list[tuple[str, float, float, str]]:
+    """In what two scenarios may differ a little: what it is, how far they lie apart in it, the tolerance, its unit."""
+    slopes = [(s.slope_roll, s.slope_pitch) for s in (a, b)]
+    starts = _between(a.initial_joint_position, b.initial_joint_position)
+    speeds = _between(a.initial_joint_velocity, b.initial_joint_velocity)
+    return [
+        ("the slope", _between(*slopes), SAME_SLOPE, "rad"),
+        ("the start of a joint", starts, SAME_TARGET if torque else SAME_START, "rad"),
+        ("a joint's speed at the start", speeds, SAME_SPEED, "rad/s"),
+    ]
+
+
+def _between(a: tuple[float, ...] | None, b: tuple[float, ...] | None) -> float:
+    """The largest difference of two starts; None is zero everywhere."""
     first, second = (np.zeros(1) if start is None else np.array(start) for start in (a, b))
-    return bool(np.all(np.abs(first - second) < most))
+    return float(np.abs(first - second).max())
 
 
 def by_torque(m: Measurement) -> bool:
@@ -90,10 +102,36 @@ def same_commands(a: Commands, b: Commands, torque: bool = False) -> bool:
       b: the other one.
       torque: their targets are N m, else rad.
     """
+    same = a.target.shape == b.target.shape and _same_targets(a, b, torque)
+    return same and bool(np.all(np.abs(a.time - b.time) < SAME_TIME))
+
+
+def _same_targets(a: Commands, b: Commands, torque: bool) -> bool:
+    """Whether as many commands ask for the same, whenever they do."""
     if a.target.shape != b.target.shape or abs(a.ramp - b.ramp) >= 1e-6:
         return False
     most = SAME_TORQUE * float(np.std(a.target)) if torque else SAME_TARGET
-    return bool(np.all(np.abs(a.target - b.target) <= most)) and bool(np.all(np.abs(a.time - b.time) < SAME_TIME))
+    return bool(np.all(np.abs(a.target - b.target) <= most))
+
+
+def nearly_repeats(a: Measurement, b: Measurement) -> str:
+    """What keeps two rollouts that seem to ask for the same from being repeats, or ""."""
+    first, second, torque = a.commands, b.commands, by_torque(a)
+    short, long = sorted((first, second), key=lambda c: len(c.time))
+    n = len(short.time)
+    beginning = dataclasses.replace(long, time=long.time[:n], target=long.target[:n])
+    if not _same_but_for_measures(a.scenario, b.scenario) or not n or 2 * n < len(long.time):
+        return ""
+    if not _same_targets(short, beginning, torque):
+        return ""
+    differ = _apart(a.scenario, b.scenario, torque)
+    differ.append(("the time of a command", float(np.abs(short.time - beginning.time).max()), SAME_TIME, "s"))
+    if any(apart >= NEARLY * most for _, apart, most, _ in differ):
+        return ""
+    said = [f"{what} by {apart:.2g} {unit} (allowed {most:g})" for what, apart, most, unit in differ if apart >= most]
+    if n < len(long.time):
+        said.append(f"the number of commands ({len(first.time)} and {len(second.time)})")
+    return ", ".join(said)
 
 
 def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
