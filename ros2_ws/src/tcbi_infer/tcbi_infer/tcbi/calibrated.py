@@ -22,6 +22,7 @@ import numpy as np
 from tcbi_contract.errors import describe
 from tcbi_infer.errors import SettingError
 from tcbi_infer.tcbi import calibration
+from tcbi_infer.tcbi.emulator import expected_draws
 from tcbi_infer.tcbi.features import Features, Observed, weighable
 from tcbi_infer.tcbi.proposal import (
     Proposal,
@@ -32,8 +33,10 @@ from tcbi_infer.tcbi.proposal import (
     prior_proposal,
     proposal,
 )
-from tcbi_infer.tcbi.surrogate import expected_normal
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, temper
+
+EXPECTED = 200  # points where the emulator expects the posterior
+WIDEN = 1.5  # a proposal should be wider than its target: by so much less the energies count there
 
 
 class CalibratedSettings(NamedTuple):
@@ -104,9 +107,9 @@ def step(
     if state.generation == 0:
         drawn_from = prior_proposal(settings.particles, state.z.shape[1])
     else:
-        normal = expected_normal(state.z, state.energy, state.alpha_supported)
+        expected = expected_draws(rng, state.z, state.energy, state.alpha_supported / WIDEN, EXPECTED)
         weights = normalised(state.log_weights)
-        drawn_from = proposal(settings.particles, state.z, weights, normal, settings.prior_share)
+        drawn_from = proposal(settings.particles, state.z, weights, expected, settings.prior_share)
     fresh = draw(rng, drawn_from)
     simulated = simulate(from_probit(fresh))
     features = simulated if state.generation == 0 else state.features.join(simulated)

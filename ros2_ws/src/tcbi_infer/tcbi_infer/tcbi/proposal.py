@@ -1,8 +1,8 @@
 """Proposals in probit space, where the flat prior is a standard normal and no bound needs care.
 
 A unit value u in (0, 1) becomes z = Phi^-1(u). A proposal mixes a share of the prior (so that weights stay bounded
-and no mode is lost for good) with normal kernels on the weighted particles; its density is exact, which is what makes
-the weights of population Monte Carlo right.
+and no mode is lost for good) with normal kernels on the weighted particles, and on points where the posterior is
+expected; its density is exact, which is what makes the weights of population Monte Carlo right.
 """
 
 from typing import NamedTuple
@@ -15,20 +15,25 @@ from tcbi_infer.tcbi.weights import effective_sample_size, resample
 
 EDGE = 1e-7  # closest a particle comes to its bounds, in shares of the range
 INFLATION = 1.5  # on the kernel's standard deviation: a proposal should be wider than its target
-LEAST_SD = 0.02  # of a kernel, in probit units
+LEAST_SD = 0.005  # of a kernel, in probit units
 PAIRS = 2**22  # of particle and kernel held at a time
 
 
+class Kernels(NamedTuple):
+    """A normal distribution about each of some weighted points."""
+
+    centers: np.ndarray  # (n, P) probit space
+    weights: np.ndarray  # (n,) sum to one
+    covariance: np.ndarray  # (P, P) of each
+
+
 class Proposal(NamedTuple):
-    """What one generation's particles were drawn from: the prior, kernels on particles, and one wide normal."""
+    """What one generation's particles were drawn from: the prior, kernels on particles, and on expected points."""
 
     size: int  # particles drawn
-    shares: np.ndarray  # (3,) of the prior, the kernels, the normal; sum to one
-    centers: np.ndarray  # (n, P) of the kernels, probit space
-    weights: np.ndarray  # (n,) of the kernels, sum to one
-    covariance: np.ndarray  # (P, P) of each kernel
-    normal_mean: np.ndarray  # (P,)
-    normal_covariance: np.ndarray  # (P, P)
+    shares: np.ndarray  # (3,) of the prior and of both kernels; sum to one
+    found: Kernels
+    expected: Kernels
 
     @property
     def drawn(self) -> tuple[int, int, int]:
@@ -50,48 +55,51 @@ def from_probit(z: np.ndarray) -> np.ndarray:
 
 def prior_proposal(count: int, dimensions: int) -> Proposal:
     """The first generation's: the prior alone."""
-    eye, nothing = np.eye(dimensions), np.zeros((0, dimensions))
-    return Proposal(count, np.array([1.0, 0.0, 0.0]), nothing, np.zeros(0), eye, np.zeros(dimensions), eye)
+    nothing = Kernels(np.zeros((0, dimensions)), np.zeros(0), np.eye(dimensions))
+    return Proposal(count, np.array([1.0, 0.0, 0.0]), nothing, nothing)
 
 
 def proposal(
-    count: int, z: np.ndarray, weights: np.ndarray, normal: tuple[np.ndarray, np.ndarray] | None, prior_share: float
+    count: int, z: np.ndarray, weights: np.ndarray, expected: np.ndarray | None, prior_share: float
 ) -> Proposal:
     """A later generation's.
 
     Args:
       count: particles to draw.
       z: (M, P) particles so far.
-      weights: (M,) sum to one; kernels are put on those that carry weight, with Silverman's bandwidth of their weighted
-        covariance, inflated.
-      normal: mean (P,) and covariance (P, P) of where the target is expected, or None for kernels alone.
+      weights: (M,) sum to one; kernels are put on those that carry weight, inflated.
+      expected: (n, P) points where the target is expected, or None for kernels on the particles alone.
       prior_share: drawn from the prior.
     """
     kept = weights > 1e-6 * weights.max()
-    z, weights = z[kept], weights[kept] / weights[kept].sum()
-    p = z.shape[1]
-    mean = weights @ z
-    spread = (z - mean).T @ ((z - mean) * weights[:, None])
+    found = _kernels(z[kept], weights[kept] / weights[kept].sum(), INFLATION)
+    if expected is None:
+        return Proposal(count, np.array([prior_share, 1.0 - prior_share, 0.0]), found, found)
+    half = 0.5 * (1.0 - prior_share)
+    evenly = np.full(len(expected), 1.0 / len(expected))
+    return Proposal(count, np.array([prior_share, half, half]), found, _kernels(expected, evenly, 1.0))
+
+
+def _kernels(centers: np.ndarray, weights: np.ndarray, inflation: float) -> Kernels:
+    """With Silverman's bandwidth of the centers' weighted covariance, times an inflation."""
+    p = centers.shape[1]
+    mean = weights @ centers
+    spread = (centers - mean).T @ ((centers - mean) * weights[:, None])
     ess = max(effective_sample_size(weights), 2.0)
-    factor = (4.0 / (p + 2.0)) ** (2.0 / (p + 4.0)) * ess ** (-2.0 / (p + 4.0)) * INFLATION**2
-    covariance = factor * spread + LEAST_SD**2 * np.eye(p)
-    rest = 1.0 - prior_share
-    shares = np.array([prior_share, rest, 0.0] if normal is None else [prior_share, rest / 2, rest / 2])
-    return Proposal(count, shares, z, weights, covariance, *(normal or (mean, np.eye(p))))
+    factor = (4.0 / (p + 2.0)) ** (2.0 / (p + 4.0)) * ess ** (-2.0 / (p + 4.0)) * inflation**2
+    return Kernels(centers, weights, factor * spread + LEAST_SD**2 * np.eye(p))
 
 
 def draw(rng: np.random.Generator, proposal: Proposal) -> np.ndarray:
     """(count, P) particles in probit space; stratified over the prior's share and over the kernels."""
-    p = len(proposal.normal_mean)
-    first, second, third = proposal.drawn
+    p = proposal.found.centers.shape[1]
+    first, *others = proposal.drawn
     strata = np.stack([rng.permutation(first) for _ in range(p)], axis=1).reshape(first, p)
     parts = [to_probit((strata + rng.random((first, p))) / max(first, 1))]
-    if second:
-        centers = proposal.centers[resample(rng, proposal.weights, second)]
-        parts.append(centers + rng.standard_normal(centers.shape) @ np.linalg.cholesky(proposal.covariance).T)
-    if third:
-        steps = rng.standard_normal((third, p)) @ np.linalg.cholesky(proposal.normal_covariance).T
-        parts.append(proposal.normal_mean + steps)
+    for count, kernels in zip(others, (proposal.found, proposal.expected), strict=True):
+        if count:
+            centers = kernels.centers[resample(rng, kernels.weights, count)]
+            parts.append(centers + rng.standard_normal(centers.shape) @ np.linalg.cholesky(kernels.covariance).T)
     return np.concatenate(parts)
 
 
@@ -102,15 +110,13 @@ def log_prior(z: np.ndarray) -> np.ndarray:
 
 def log_density(proposal: Proposal, z: np.ndarray) -> np.ndarray:
     """(M,) log-density of a proposal at (M, P), without the constant that `log_prior` leaves out too."""
-    first, second, third = (n / proposal.size for n in proposal.drawn)
-    parts = []
-    if first:
-        parts.append(np.log(first) + log_prior(z))
-    if second:
-        parts.append(np.log(second) + log_kernels(z, proposal.centers, proposal.weights, proposal.covariance))
-    if third:
-        mean = proposal.normal_mean[None]
-        parts.append(np.log(third) + log_kernels(z, mean, np.ones(1), proposal.normal_covariance))
+    first, *others = (n / proposal.size for n in proposal.drawn)
+    parts = [np.log(first) + log_prior(z)] if first else []
+    parts += [
+        np.log(share) + log_kernels(z, *kernels)
+        for share, kernels in zip(others, (proposal.found, proposal.expected), strict=True)
+        if share
+    ]
     return logsumexp(np.stack(parts), axis=0)
 
 
