@@ -76,6 +76,16 @@ def test_a_repeat_may_stand_a_degree_off_and_its_slope_be_noted_a_little_otherwi
     assert [s.members for s in sets] == [(0, 1), (2,), (3,)]
 
 
+def test_a_simulation_is_no_repeat_of_the_robot_and_both_together_are_told():
+    """Their difference would be the model's error, and pass for the robot's own scatter."""
+    simulated = rollout(0.3, "gait:steps")
+    robots = [dataclasses.replace(simulated, source="driver", joint_position=TIME[:, None] + i) for i in range(2)]
+    assert [s.members for s in find_replicates([simulated, *robots])] == [(0,), (1, 2)]
+    (line,) = [line for line in guard([simulated, *robots]) if "sources" in line]
+    assert "(driver, sim)" in line and not any("is no repeat" in line for line in guard([simulated, *robots]))
+    assert not any("sources" in line for line in guard(robots))
+
+
 def test_a_recording_that_is_nearly_a_repeat_is_told_with_what_keeps_it_from_being_one():
     def told(**changes) -> list[str]:
         one = rollout(0.3, "gait:steps")

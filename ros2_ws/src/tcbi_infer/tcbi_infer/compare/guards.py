@@ -56,7 +56,16 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
             f" and {len(rollouts) - 3} more" if len(rollouts) not in (len(measurements),) and len(rollouts) > 3 else ""
         )
         sentences.append(f"{finding} ({who}{more})." if len(measurements) > 1 else f"{finding}.")
-    return sentences + _copies(measurements)
+    return sentences + _sources(measurements) + _copies(measurements)
+
+
+def _sources(measurements: Sequence[Measurement]) -> list[str]:
+    """A sentence where a robot's and a simulation's rollouts are judged together."""
+    sources = sorted({m.source for m in measurements})
+    return [
+        f"Rollouts of several sources ({', '.join(sources)}) are judged together: a model that fits one of them may "
+        "fit the other not at all, so compare each by itself; they count as no repeats of each other."
+    ] * (len(sources) > 1)
 
 
 def unchecked(measurements: Sequence[Measurement]) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """Which rollouts repeat each other, which make a kind of motion, and which stay sealed.
 
-The unit of evidence is never the sample. Rollouts with the same commands and scenario are replicates: their
-differences are the noise floor, and they count as one observation of the model's error. Replicates never straddle
-a split.
+The unit of evidence is never the sample. Rollouts of one source (the robot, or a simulation) with the same commands
+and scenario are replicates: their differences are the noise floor, and they count as one observation of the model's
+error. Replicates never straddle a split.
 """
 
 import dataclasses
@@ -120,7 +120,7 @@ def nearly_repeats(a: Measurement, b: Measurement) -> str:
     short, long = sorted((first, second), key=lambda c: len(c.time))
     n = len(short.time)
     beginning = dataclasses.replace(long, time=long.time[:n], target=long.target[:n])
-    if not _same_but_for_measures(a.scenario, b.scenario) or not n or 2 * n < len(long.time):
+    if not _same_but_for_measures(a.scenario, b.scenario) or a.source != b.source or not n or 2 * n < len(long.time):
         return ""
     if not _same_targets(short, beginning, torque):
         return ""
@@ -141,7 +141,8 @@ def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
         torque = by_torque(m)
         for group in groups:
             first = measurements[group[0]]
-            if same_scenario(first.scenario, m.scenario, torque) and same_commands(first.commands, m.commands, torque):
+            alike = same_scenario(first.scenario, m.scenario, torque) and first.source == m.source
+            if alike and same_commands(first.commands, m.commands, torque):
                 group.append(i)
                 break
         else:
