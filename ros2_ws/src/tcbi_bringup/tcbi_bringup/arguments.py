@@ -40,7 +40,7 @@ def above(low: float) -> Callable[[str], Any]:
 
 def between(low: float, high: float) -> Callable[[str], Any]:
     """A number from `low` to `high`, of the kind of `low`."""
-    return _number(type(low), lambda value: low <= value <= high, f"{low} to {high}")
+    return _number(type(low), lambda value: low <= value <= high, f"{low:.10g} to {high:.10g}")
 
 
 def _number(kind: type, fits: Callable[[Any], bool], allowed: str) -> Callable[[str], Any]:
@@ -65,6 +65,7 @@ def not_empty(text: str) -> str:
     return text
 
 
+timestep = between(1e-5, 0.01)  # s of a simulation; over longer ones the integrator's error passes for the model's
 seed = between(0, 2**32 - 1)  # what the libraries of a training and of the methods take
 
 

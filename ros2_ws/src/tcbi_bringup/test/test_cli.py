@@ -123,7 +123,7 @@ def test_a_name_that_does_not_exist_is_wrong_usage(command, capsys):
         ("replay --rate nan bag", "--rate: got 'nan'"),
         ("replay --wait-for 101 bag", "--wait-for: got '101', allowed is a whole number, 0 to 100"),
         ("retrain --task foo", "unknown task 'foo'; known: balance, forward"),
-        ("retrain --task balance --budget -1", "--budget: got '-1', allowed is a number, more than 0"),
+        ("retrain --task balance --budget -1", "--budget: got '-1', allowed is a number, 1e-05 to 0.01"),
         ("train --task balance --steps 1.5", "--steps: got '1.5', allowed is a whole number, 1 or more"),
         ("collect --n 0", "--n: got '0', allowed is a whole number, 1 or more"),
         ("policy balance --measure --rollouts 0", "--rollouts: got '0'"),

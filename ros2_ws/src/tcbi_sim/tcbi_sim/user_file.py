@@ -38,6 +38,8 @@ def read(path: Path, attribute: str, error: type[UserFileError] = UserFileError)
     Raises:
       UserFileError: as `error`, the file cannot be imported.
     """
+    if not path.exists():
+        raise error(path, ["there is no such file"])
     if not path.is_file() or path.suffix != ".py":
         raise error(path, ["is no Python file; give the path of a file that ends in .py"])
     module = types.ModuleType(f"tcbi_user_{path.stem}")

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tcbi_bringup.arguments import above, between
+from tcbi_bringup.arguments import between, timestep
 from tcbi_bringup.commands import console
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_bags(parser)
     console.add_model(parser)
     console.add_report(parser)
-    parser.add_argument("--timestep", type=above(0.0), default=0.002, help="s at most (default: 0.002)")
+    parser.add_argument("--timestep", type=timestep, default=0.002, help="s at most (default: 0.002)")
     parser.add_argument(
         "--particles",
         type=between(0, 256),

@@ -4,7 +4,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from tcbi_bringup.arguments import above, at_least, seed
+from tcbi_bringup.arguments import at_least, seed, timestep
 from tcbi_bringup.commands import console
 from tcbi_bringup.errors import WrongCallError
 
@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="flat",
         help="flat (default); model: go on from what the model version says, with rollouts that it has not seen",
     )
-    parser.add_argument("--timestep", type=above(0.0), help="s at most, of the simulation (default: 0.005)")
+    parser.add_argument("--timestep", type=timestep, help="s at most, of the simulation (default: 0.005)")
     parser.add_argument("--threads", type=at_least(0), default=0, help="0 (default) for all processors")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument(

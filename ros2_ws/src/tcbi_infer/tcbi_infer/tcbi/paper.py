@@ -96,7 +96,10 @@ def step(
     usable = weighable(features, observed.channels)
     divergence = observed.by_statistic(np.where(usable[:, None], features.divergence, 0.0))  # line 8: Jensen-Shannon
     discrepancy = np.where(usable, divergence.sum(axis=1), np.inf)
-    weights = normalised(-settings.alpha * discrepancy)  # line 9: w_i = exp(-alpha D_i); line 10: normalise
+    spared = np.where(usable, discrepancy, 0.0)  # alpha may be 0, and 0 x inf is no weight
+    weights = normalised(
+        np.where(usable, -settings.alpha * spared, -np.inf)
+    )  # line 9: w_i = exp(-alpha D_i); line 10: normalise
     ess = effective_sample_size(weights)  # line 11
     mean, _ = mean_and_variance(particles, weights)
     reward = _weighted_reward(features.reward, weights)

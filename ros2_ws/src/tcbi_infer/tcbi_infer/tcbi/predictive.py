@@ -37,6 +37,11 @@ class _Traces(NamedTuple):
         )  # fmt: skip
 
 
+def drawn(problem: Problem, log_weights: np.ndarray) -> np.ndarray:
+    """(N,) the particles of (M,) log-weights that are simulated for it, each once."""
+    return np.unique(resample(np.random.default_rng(problem.seed), normalised(log_weights), DRAWS))
+
+
 def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> dict[str, float]:
     """How many times as far from the nearest prediction as predictions from each other the robot's signals lie.
 
@@ -49,8 +54,7 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> d
       For each signal that was measured the root mean square distance over rollouts, time and channels, over the median
       of the draws': about 1 where nothing is wrong. Empty if fewer than `LEAST_DRAWS` simulations end well.
     """
-    drawn = np.unique(resample(np.random.default_rng(problem.seed), normalised(log_weights), DRAWS))
-    traces: _Traces = problem.open_loop.simulate(unit[drawn], view=_traces)
+    traces: _Traces = problem.open_loop.simulate(unit[drawn(problem, log_weights)], view=_traces)
     if traces.valid.sum() < LEAST_DRAWS:
         return {}
     signals = {"joint positions": traces.joint_position, "roll and pitch": traces.roll_pitch}
