@@ -40,7 +40,7 @@ def above(low: float) -> Callable[[str], Any]:
 
 def between(low: float, high: float) -> Callable[[str], Any]:
     """A number from `low` to `high`, of the kind of `low`."""
-    return _number(type(low), lambda value: low <= value <= high, f"{low:.10g} to {high:.10g}")
+    return _number(type(low), lambda value: low <= value <= high, f"{low} to {high}")
 
 
 def _number(kind: type, fits: Callable[[Any], bool], allowed: str) -> Callable[[str], Any]:
