@@ -38,6 +38,7 @@ def result(bench: dict[str, ModuleType], truth: int, method: str, error: float, 
     }  # fmt: skip
     return {"case": json.loads(case(bench, truth, method).key()), "parameters": [parameter], "cpu_s": 1.0} | {
         "code": versions()["tcbi"],
+        "ess": 1e9,
         "says_misfit": False,
         "says_outside": False,
     }
@@ -77,7 +78,8 @@ def targets(bench: dict[str, ModuleType], found: list[dict]) -> set:
 def test_targets_are_those_of_the_cases_that_they_were_set_for(bench) -> None:
     found = [result(bench, i, "calibrated", 0.01) for i in range(3)]
     both = {0.06, "0.85 to 0.95"}
-    assert targets(bench, found) == targets(bench, changed(found, source="robot")) == both
+    assert targets(bench, found) == both
+    assert targets(bench, changed(found, source="robot")) == {0.06, 0.85}, "its truths are not the prior's"
     for other in ({"noise": 0.02}, {"rollouts": 6}, {"task": "balance"}):
         assert targets(bench, changed(found, **other)) == {"0.85 to 0.95"}, other
     assert targets(bench, changed(found, source="hidden")) == set()
@@ -161,6 +163,19 @@ def test_ranks_are_judged_for_each_parameter_with_holms_correction(bench) -> Non
     alone = kstest([one["parameters"][0]["rank"] for one in found], "uniform").pvalue
     assert value(rows, "uniform ranks of friction, by Holm for 3")["value"] == round(min(1.0, 2 * alone), 3)
     assert value(rows, "uniform ranks of gain")["value"] == 0.0
+
+
+def test_exact_draws_have_uniform_ranks_however_few_they_are(bench) -> None:
+    """Ten draws each of what 2000 truths are drawn from; a right test is below 0.001 once in a thousand times."""
+    rng = np.random.default_rng(0)
+    truths, draws = rng.standard_normal(2000), rng.standard_normal((2000, 10))
+    found = [{**result(bench, i, "calibrated", 0.0), "ess": 10.0} for i in range(2000)]
+    for one, share in zip(found, (draws < truths[:, None]).mean(axis=1), strict=True):
+        one["parameters"][0]["rank"] = float(share)
+    assert kstest([bench["figures"].rank(one, 0) for one in found], "uniform").pvalue > 0.001
+    assert kstest([one["parameters"][0]["rank"] for one in found], "uniform").pvalue < 0.001, (
+        "as they stand they are not"
+    )
 
 
 def test_holms_correction_is_the_textbooks(bench) -> None:

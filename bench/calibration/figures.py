@@ -80,6 +80,16 @@ def _differing(own: list[Result], group: list[Result]) -> str:
     return "".join(words)
 
 
+def rank(result: Result, i: int) -> float:
+    """Of the truth of parameter i among the effective particles, drawn evenly from between its neighbours.
+
+    Without that draw the ranks of few particles have steps, which are not uniform however right they are.
+    """
+    ess = result["ess"]
+    within = np.random.default_rng([result["case"]["truth"], i]).random()
+    return float((ess * result["parameters"][i]["rank"] + within) / (ess + 1))
+
+
 def grouped(found: list[Result]) -> dict[str, list[Result]]:
     """By everything but the truth's number."""
     groups: dict[str, list[Result]] = {}
@@ -117,7 +127,7 @@ def _of(name: str, group: list[Result]) -> list[Row]:
             f"{name}: 90 % intervals that hold the truth, of {len(every)}",
             coverage(every),
             "1",
-            *(TARGET_COVERAGE if right else ()),
+            *(TARGET_COVERAGE[: 2 if case["source"] == "model" else 1] if right else ()),
         )
     )
     rows += [
@@ -128,12 +138,13 @@ def _of(name: str, group: list[Result]) -> list[Row]:
         )
         for i in range(len(group[0]["parameters"]))
     ]
-    names = [p["name"] for p in group[0]["parameters"]]
-    values = holm([kstest([r["parameters"][i]["rank"] for r in group], "uniform").pvalue for i in range(len(names))])
-    rows += [
-        figure(f"{name}: p-value of uniform ranks of {p}, by Holm for {len(names)}", value, "1")
-        for p, value in zip(names, values, strict=True)
-    ]
+    if case["source"] == "model":  # of robots that are not drawn from the prior no ranks are uniform
+        names = [p["name"] for p in group[0]["parameters"]]
+        values = holm([kstest([rank(r, i) for r in group], "uniform").pvalue for i in range(len(names))])
+        rows += [
+            figure(f"{name}: p-value of uniform ranks of {p}, by Holm for {len(names)}", value, "1")
+            for p, value in zip(names, values, strict=True)
+        ]
     rows.append(
         figure(
             f"{name}: width of posteriors over the prior's",

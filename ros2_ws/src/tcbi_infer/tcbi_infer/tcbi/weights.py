@@ -25,11 +25,16 @@ def mean_and_variance(values: np.ndarray, weights: np.ndarray) -> tuple[np.ndarr
 
 
 def quantiles(values: np.ndarray, weights: np.ndarray, levels: np.ndarray | list[float]) -> np.ndarray:
-    """Weighted quantiles (len(levels), P) of (M, P) values."""
+    """Weighted quantiles (len(levels), P) of (M, P) values.
+
+    The k-th of n equal weights stands for k / (n + 1) (Weibull), so that the quantiles of few draws are not too near
+    their middle; of unequal ones n is the effective sample size.
+    """
     out = np.empty((len(levels), values.shape[1]))
+    ess = effective_sample_size(weights)
     for p in range(values.shape[1]):
         order = np.argsort(values[:, p], kind="stable")
-        cumulative = np.cumsum(weights[order]) - 0.5 * weights[order]
+        cumulative = (ess * (np.cumsum(weights[order]) - 0.5 * weights[order]) + 0.5) / (ess + 1.0)
         out[:, p] = np.interp(levels, cumulative, values[order, p])
     return out
 
