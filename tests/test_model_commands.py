@@ -85,7 +85,8 @@ def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
     assert versions[1]["effects"] == ["command_latency"]
 
     file = tmp_path / "bench.xml"
-    assert answer(capsys, "export-model", file, "--rig", "servo_bench", *store)["model"] == "servo_bench-v1"
+    exported = answer(capsys, "export-model", file, "--rig", "servo_bench", *store)
+    assert (exported["model"], exported["left_out"]) == ("servo_bench-v1", ["command_latency"])
     assert mujoco.MjModel.from_xml_path(str(file)).nu == 1
 
 

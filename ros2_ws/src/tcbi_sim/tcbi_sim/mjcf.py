@@ -31,9 +31,14 @@ def to_xml(model: Model, parameters: np.ndarray | None = None) -> str:
     _copy(materialise(model, values), spec)
     spec.compile()
     listed = "\n".join(f"  {p.name} = {v:.6g} {p.unit}" for p, v in zip(model.parameters, values, strict=True))
-    outside = [u.key for u in model.uses() if _acts_outside(model, u.key)]
-    note = f"\n  Not in this file, since they act on commands or readings: {', '.join(outside)}" if outside else ""
+    left = outside(model)
+    note = f"\n  Not in this file, since they act on commands or readings: {', '.join(left)}" if left else ""
     return f"<!-- {model.version} (rig {model.rig})\n{listed}{note}\n-->\n{spec.to_xml()}"
+
+
+def outside(model: Model) -> list[str]:
+    """Effects of a model that no MJCF holds, since they act on commands or readings."""
+    return [u.key for u in model.uses() if _acts_outside(model, u.key)]
 
 
 def _copy(model: mujoco.MjModel, spec: mujoco.MjSpec) -> None:

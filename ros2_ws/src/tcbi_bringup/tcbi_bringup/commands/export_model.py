@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
 
     from tcbi_infer.errors import InferError
     from tcbi_policy.artefact import replace_file
-    from tcbi_sim.mjcf import to_xml
+    from tcbi_sim.mjcf import outside, to_xml
     from tcbi_sim.store import ModelStore
 
     folder = args.file.absolute().parent
@@ -41,7 +41,9 @@ def run(args: argparse.Namespace) -> int:
         replace_file(args.file, to_xml(model).encode())
     except OSError as e:
         raise InferError(f"cannot write {args.file}: {e.strerror}; choose another place") from e
-    loaded = mujoco.MjModel.from_xml_path(str(args.file))
+    loaded, left = mujoco.MjModel.from_xml_path(str(args.file)), outside(model)
+    if left:
+        console.note(f"not in the file, since they act on commands or readings: {', '.join(left)}")
     if args.json:
         console.emit(
             {
@@ -49,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
                 "file": str(args.file),
                 "joints": loaded.njnt,
                 "mass": float(sum(loaded.body_mass)),
+                "left_out": left,
             }
         )
     else:

@@ -38,7 +38,9 @@ def library() -> dict[str, Effect]:
         try:
             effect = load_file(path)
             if effect.name in effects:
-                raise UserEffectError(path, [f"the name {effect.name!r} is taken already; choose another one"])
+                by = _files[effect.name].name if effect.name in _files else "a built-in effect"
+                fault = f"the name {effect.name!r} is taken already, by {by}; choose another one"
+                raise UserEffectError(path, [fault])
         except UserEffectError as e:
             _leave_out(path, "; ".join(e.faults))
             continue
