@@ -87,4 +87,4 @@ def _departure(groups: tuple[np.ndarray, ...], valid: np.ndarray) -> float:
             among += own[:, None] + own - 2 * flat @ flat.T
     np.fill_diagonal(among, np.inf)
     nearest = float(np.median(np.sqrt(np.maximum(among.min(axis=1), 0.0))))
-    return float(np.sqrt(apart.min())) / nearest if nearest > 0 else 1.0
+    return float(np.sqrt(np.min(apart))) / nearest if nearest > 0 else 1.0
