@@ -102,12 +102,13 @@ def test_particles_whose_divergence_is_not_finite_weigh_nothing(value: float) ->
         features = quadratic(unit)
         return features._replace(divergence=np.where(unit > 0.5, features.divergence, value))
 
-    settings = paper.PaperSettings(particles=40, tau=0.0)
-    state, info = paper.step(
-        np.random.default_rng(1), paper.init(np.random.default_rng(0), 1, settings), some, ONE, settings
-    )
-    assert np.all(state.weights[state.particles[:, 0] <= 0.5] == 0)
-    assert info.ess < 40 and np.isfinite(info.divergence).all()
+    for alpha in (10.0, 0.0):  # without the data's say, too
+        settings = paper.PaperSettings(particles=40, tau=0.0, alpha=alpha)
+        state, info = paper.step(
+            np.random.default_rng(1), paper.init(np.random.default_rng(0), 1, settings), some, ONE, settings
+        )
+        assert np.all(state.weights[state.particles[:, 0] <= 0.5] == 0) and state.weights.sum() == pytest.approx(1)
+        assert info.ess < 40 and np.isfinite(info.divergence).all()
 
 
 def test_a_divergence_that_is_finite_nowhere_is_an_error() -> None:

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_bags(parser)
     console.add_model(parser)
     console.add_report(parser)
-    parser.add_argument("--timestep", type=timestep, default=0.002, help="s at most (default: 0.002)")
+    parser.add_argument("--timestep", type=timestep, default=0.002, help="s at most, of a step (default: 0.002)")
     parser.add_argument(
         "--particles",
         type=between(0, 256),

@@ -13,6 +13,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
+from tcbi_infer.tcbi.proposal import log_kernels, log_prior
 from tcbi_infer.tcbi.weights import normalised, resample
 
 SHARE = 0.5  # of the particles, those of least energy, that are regressed
@@ -102,11 +103,9 @@ def expected_draws(
     for _ in range(ROUNDS):
         sd = BANDWIDTH * np.maximum(centers.std(axis=0), 1e-3)
         drawn = centers[rng.integers(0, len(centers), CANDIDATES)] + sd * rng.standard_normal((CANDIDATES, z.shape[1]))
+        evenly = np.full(len(centers), 1.0 / len(centers))
+        log_weights = log_prior(drawn) - alpha * expects.energy(drawn)
+        log_weights -= log_kernels(drawn, centers, evenly, np.diag(sd**2))
         inside = ((drawn >= low) & (drawn <= high)).all(axis=1)
-        density = np.exp(-0.5 * cdist(drawn / sd, centers / sd, "sqeuclidean")).mean(axis=1)
-        log_weights = (
-            -alpha * expects.energy(drawn) - 0.5 * (drawn**2).sum(axis=1) - np.log(np.maximum(density, 1e-300))
-        )
-        weights = normalised(np.where(inside, log_weights, -np.inf))
-        centers = drawn[resample(rng, weights, count)]
+        centers = drawn[resample(rng, normalised(np.where(inside, log_weights, -np.inf)), count)]
     return centers
