@@ -96,6 +96,7 @@ COMMANDS = (
     Command("train", "infer", "train a policy for a task on a model"),
     Command("retrain", "infer", "train the running policy's successor on the posterior"),
     Command("policy", "infer", "list, show and measure policies"),
+    Command("model", "watch", "list, show and delete model versions"),
     Command("history", "watch", "the error of each model version"),
     Command("diff", "watch", "what differs between two model versions"),
     Command("export-model", "watch", "write a model version as MJCF"),

@@ -75,6 +75,18 @@ def echo(m: Measurement, joints: slice = slice(None)) -> Measurement:
     return with_joints(m, copy)
 
 
+def scaled(m: Measurement, by: float) -> Measurement:
+    """Positions and commands alike in another unit."""
+    commands = dataclasses.replace(m.commands, target=by * m.commands.target)
+    return dataclasses.replace(m, joint_position=by * m.joint_position, commands=commands)
+
+
+def clocked(m: Measurement, by: float) -> Measurement:
+    """All times in another unit."""
+    commands = dataclasses.replace(m.commands, time=by * m.commands.time)
+    return dataclasses.replace(m, time=by * m.time, commands=commands)
+
+
 def gyro(m: Measurement, change) -> Measurement:
     return dataclasses.replace(m, angular_velocity=change(m.angular_velocity))
 
@@ -93,6 +105,9 @@ FAULTS = {
     "swapped joints": (lambda m: swapped(m, 0, 8), "lf_coxa and lr_tibia follow each other's commands"),
     "encoder counts": (lambda m: with_joints(m, 2048 + m.joint_position * 651.9), "raw encoder counts"),
     "centred encoder counts": (lambda m: with_joints(m, m.joint_position * 651.9), "raw encoder counts"),
+    "commands and positions in degrees": (lambda m: scaled(m, np.degrees(1.0)), "another unit than radians"),
+    "milliseconds taken for seconds": (lambda m: clocked(m, 1e3), "The samples come 20 s apart"),
+    "seconds taken for milliseconds": (lambda m: clocked(m, 1e-3), "The samples come 20 us apart"),
     "degrees": (lambda m: with_joints(m, np.degrees(m.joint_position)), "look like degrees"),
     "echo": (echo, "identical to the commands"),
     "echo of one leg": (lambda m: echo(m, slice(3, 6)), "lm_coxa, lm_femur, lm_tibia are identical to their commands"),

@@ -133,19 +133,30 @@ class ModelStore:
                 log.warning("tcbi: %s is left out: %s", version, " ".join(str(e).split()))
         return models
 
-    def remove(self, version: str) -> None:
-        """Delete a saved version that no other has as its parent.
+    def delete(self, version: str) -> None:
+        """Delete a saved version that no other has as its parent, also one whose files are damaged.
+
+        Its empty folder stays, so that its number, which policies and diagnoses may name, is not given again.
 
         Raises:
-          StoreError: it is built in, or has children.
+          UnknownNameError: there is no such version.
+          StoreError: it is built in, has children, or its files cannot be deleted.
         """
-        model = self.load(version)
+        known = self.versions()
+        if version not in known:
+            raise UnknownNameError("model version", version, known)
         if version.endswith("-v0"):
-            raise StoreError(f"{version} is built in and cannot be removed")
-        children = [m.version for m in self.history(model.rig) if m.parent == version]
+            raise StoreError(f"{version} is built in and cannot be deleted")
+        children = [m.version for m in self.history(version.rpartition("-v")[0]) if m.parent == version]
         if children:
-            raise StoreError(f"{version} is the parent of {', '.join(children)}; remove those first")
-        shutil.rmtree(self.models / version)
+            raise StoreError(f"{version} is the parent of {', '.join(children)}; delete those first")
+        folder = self.models / version
+        try:
+            (folder / "model.json").unlink()  # first: without it the folder is no version
+            for path in folder.iterdir():
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+        except OSError as e:
+            raise StoreError(f"cannot delete {e.filename or folder}: {e.strerror}") from e
 
     def _write(self, folder: Path, model: Model) -> None:
         head = {

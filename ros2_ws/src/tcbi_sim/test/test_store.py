@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tcbi_sim.effects import including, library
-from tcbi_sim.errors import SimError
+from tcbi_sim.errors import SimError, UnknownNameError
 from tcbi_sim.mjcf import materialise, to_xml
 from tcbi_sim.model import base_model
 from tcbi_sim.rigs import RIGS
@@ -92,9 +92,21 @@ def test_versions_are_numbered_by_rig_and_remembered_by_parent(store):
     assert (first.version, second.version, bench.version) == ("hexapod-v1", "hexapod-v2", "servo_bench-v1")
     assert second.parent == first.version
     with pytest.raises(StoreError, match="hexapod-v2"):
-        store.remove(first.version)
-    store.remove(second.version)
+        store.delete(first.version)
+    store.delete(second.version)
     assert store.load().version == first.version
+    assert store.save(first.with_effect("backlash")).version == "hexapod-v3", "policies may name the number"
+
+
+def test_a_damaged_version_can_be_deleted_and_a_built_in_or_unknown_one_not(store):
+    saved = store.save(base_model("hexapod"))
+    (store.models / saved.version / "posterior.nc").write_bytes(b"no netCDF")
+    store.delete(saved.version)
+    assert store.versions("hexapod") == ["hexapod-v0"]
+    with pytest.raises(StoreError, match="hexapod-v0 is built in"):
+        store.delete("hexapod-v0")
+    with pytest.raises(UnknownNameError, match="hexapod-v1"):
+        store.delete(saved.version)
 
 
 def test_what_plain_mujoco_cannot_hold_is_named_in_the_exported_mjcf():

@@ -14,6 +14,8 @@ from tcbi_infer.compare.imu_guards import check_imu
 from tcbi_infer.compare.replicates import by_torque, find_replicates, nearly_repeats
 from tcbi_infer.gaps import sample_gaps, unusable
 from tcbi_sim.measurement import Measurement
+from tcbi_sim.rig import Rig
+from tcbi_sim.rigs import load_rig, rig_names
 
 SWAPPED = 0.7  # correlation of a joint with the command that it is said to follow; less comes about by chance
 MIRRORED = -0.6  # correlation of a joint with its own command
@@ -31,6 +33,9 @@ ALONE = ": the repeat counts alone there"
 IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than this changes nothing
 IDLE_SPAN = (0.2, 0.8)  # of its range
 STEPS = 5.0  # encoder steps between two samples in which a value must change
+SAMPLE_GAPS = (2e-4, 0.5)  # s between samples, beyond which the times rather have another unit
+BEYOND = 1.5  # of a rig's joint range, which no zero offset explains
+RUSH = 5.0  # times the speed of a rig's joint without load
 
 
 def idle_parameter(name: str) -> str:
@@ -163,11 +168,17 @@ def _clock(m: Measurement) -> list[str]:
     gaps = [gap.begin for gap in sample_gaps(m.time)]
     unbroken = steps[~np.isin(m.time[:-1], gaps)] if len(gaps) <= FEW_GAPS else steps
     median, mean = float(np.median(steps)), float(np.mean(unbroken))
+    if not SAMPLE_GAPS[0] <= median <= SAMPLE_GAPS[1]:
+        findings.append(f"The samples come {_span(median)} apart: the times look as if they had another unit than seconds")
     if mean > 1.2 * median:
         findings.append(f"The stream claims {1 / median:.0f} Hz but delivers {1 / mean:.0f} Hz")
     if m.commands.time.size and m.commands.time[0] > m.time[-1]:
         findings.append("All commands come after the last sample: commands and sensors run on different clocks")
     return findings
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:.3g} s" if seconds > 1 else f"{1e6 * seconds:.3g} us"
 
 
 def _held(m: Measurement) -> list[str]:
@@ -205,6 +216,22 @@ def _units(m: Measurement, following: Following) -> list[str]:
     turns = by_torque(m) or (following.told and slope > DROOP)  # a joint that may turn on, or was asked to
     if largest > 4 * np.pi and not turns:
         return ["Joint positions exceed two turns: these look like degrees, or an encoder that lost count"]
+    return [] if by_torque(m) or m.rig not in rig_names() else _beyond_rig(m, largest, load_rig(m.rig))
+
+
+def _beyond_rig(m: Measurement, largest: float, rig: Rig) -> list[str]:
+    """Positions that the rig's servos cannot reach, or not as fast: commands may be in the same wrong unit."""
+    if rig.joint_range < np.pi and largest > BEYOND * rig.joint_range:
+        return [
+            f"Joint positions reach {largest:.3g} rad, and the rig's joints at most {rig.joint_range:.3g}: these look "
+            "as if they had another unit than radians"
+        ]
+    speed = float(np.nanquantile(np.abs(np.gradient(m.joint_position, m.time, axis=0)).max(axis=1), 0.9))
+    if speed > RUSH * rig.speed_limit:
+        return [
+            f"The joints move at {speed:.3g} rad/s, and the rig's servos at most at {rig.speed_limit:.3g}: the "
+            "positions look as if they had another unit than radians, or the times than seconds"
+        ]
     return []
 
 

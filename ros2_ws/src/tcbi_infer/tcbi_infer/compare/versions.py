@@ -87,14 +87,14 @@ def compare_versions(before: Model, after: Model) -> Difference:
     if before.rig != after.rig:
         raise InferError(
             f"{before.version} is a model of {before.rig}, {after.version} of {after.rig}; "
-            "give two versions of one rig (./tcbi history lists them)"
+            "give two versions of one rig (./tcbi model lists them)"
         )
     added = tuple(e for e in after.effects if e not in before.effects)
     removed = tuple(e for e in before.effects if e not in after.effects)
     first, second = intervals(before), intervals(after)
     known = {p.name: p for p in (*before.parameters, *after.parameters)}
     changes = tuple(_change(p, first.get(p.name), second.get(p.name)) for p in known.values())
-    grounds = _grounds(before), _grounds(after)
+    grounds = grounds_of(before), grounds_of(after)
     shared = len(set(grounds[0].rollouts) & set(grounds[1].rollouts))
     statement = _statement(before.version, after.version, added, removed, changes)
     return Difference(before.version, after.version, added, removed, changes, *grounds, shared, statement)
@@ -159,6 +159,17 @@ def intervals(model: Model) -> dict[str, Interval]:
     return result
 
 
+def grounds_of(model: Model) -> Grounds:
+    """What a version rests on."""
+    e, inference = model.evidence, model.evidence.get("inference")
+    kind = e.get("kind") or ("inference" if inference else "prior" if model.parent else "built in")
+    statement = e.get("statement", "")
+    if inference:
+        statement = f"{inference['method']}, effective sample size {inference['ess']:.0f}"
+    rollouts = tuple(sorted(used_before(model)))
+    return Grounds(kind, statement, e.get("accepted"), rollouts, unseen_error(model), model.joint_gains_told)
+
+
 def _change(p: Parameter, before: Interval | None, after: Interval | None) -> ParameterChange:
     if before is None or after is None:
         return ParameterChange(p.name, p.unit, before, after, None, None)
@@ -168,16 +179,6 @@ def _change(p: Parameter, before: Interval | None, after: Interval | None) -> Pa
     overlap = float(inside >= 0) if shorter <= 0 else float(np.clip(inside / shorter, 0.0, 1.0))
     ratio = float((b[1] - b[0]) / (a[1] - a[0])) if a[1] > a[0] else None
     return ParameterChange(p.name, p.unit, before, after, overlap, ratio)
-
-
-def _grounds(model: Model) -> Grounds:
-    e, inference = model.evidence, model.evidence.get("inference")
-    kind = e.get("kind") or ("inference" if inference else "prior" if model.parent else "built in")
-    statement = e.get("statement", "")
-    if inference:
-        statement = f"{inference['method']}, effective sample size {inference['ess']:.0f}"
-    rollouts = tuple(sorted(used_before(model)))
-    return Grounds(kind, statement, e.get("accepted"), rollouts, unseen_error(model), model.joint_gains_told)
 
 
 def _statement(

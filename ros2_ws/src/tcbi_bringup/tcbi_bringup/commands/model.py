@@ -1,0 +1,138 @@
+"""`./tcbi model`: list, show and delete model versions."""
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from tcbi_bringup.commands import console
+from tcbi_bringup.errors import WrongCallError
+
+if TYPE_CHECKING:
+    from tcbi_sim.model import Model
+    from tcbi_sim.store import ModelStore
+
+SUMMARY = "List the model versions, show what one knows and rests on, or delete one."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to look at."""
+    console.add_examples(
+        parser,
+        "./tcbi model                                         # all versions of all rigs",
+        "./tcbi model hexapod-v2 --json",
+        "./tcbi model hexapod-v3 --delete                     # an inference or an effect that one does not want",
+    )
+    parser.epilog = f"{parser.epilog}\n\n{_WHAT_HAPPENS}"
+    parser.add_argument("version", nargs="?", default="", help="a model version, or latest; nothing lists all")
+    parser.add_argument("--delete", action="store_true", help="delete it; one that others were made from is refused")
+    parser.add_argument("--rig", default="", help="list this rig's; whose version latest is (default: hexapod)")
+    console.add_store(parser)
+    console.add_json(parser)
+
+
+_WHAT_HAPPENS = """Where no version is named, every command and every node takes the newest. Deleting it makes the one
+before the newest again; its number is not given again, and policies that were trained on it stay."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """List, show or delete."""
+    from tcbi_sim.store import LATEST, ModelStore
+
+    store = ModelStore(args.store)
+    if not args.version:
+        if args.delete:
+            raise WrongCallError("--delete: got no model version; name one that ./tcbi model lists")
+        return _list(args, store)
+    if args.delete:
+        if args.version == LATEST:
+            raise WrongCallError("--delete: got latest, allowed is a version by its number; ./tcbi model lists them")
+        return _delete(args, store)
+    return _show(args, store)
+
+
+def _list(args: argparse.Namespace, store: "ModelStore") -> int:
+    versions = store.history(args.rig or None)
+    newest = {model.rig: model.version for model in versions}
+    facts = [{**_facts(model), "newest": newest[model.rig] == model.version} for model in versions]
+    if args.json:
+        console.emit({"models": facts})
+        return 0
+    rows = [
+        [
+            f["model"],
+            f["parent"] or "–",
+            f["made_by"],
+            ", ".join(f["effects"]) or "none",
+            str(f["rollouts"] or "–"),
+            _error(f),
+            (f["created"] or "–")[:16].replace("T", " "),
+        ]
+        for f in facts
+    ]
+    columns = ["model", "parent", "made by", "effects", "rollouts", "error / noise floor", "made (UTC)"]
+    console.table("", columns, rows)
+    print(f"newest, taken where none is named: {', '.join(newest.values())}")
+    return 0
+
+
+def _show(args: argparse.Namespace, store: "ModelStore") -> int:
+    from tcbi_infer.compare.versions import intervals
+
+    model = store.load(args.version, args.rig or "hexapod")
+    facts = _facts(model)
+    spans = intervals(model)
+    parameters = [{"name": p.name, "unit": p.unit, **console.plain(spans[p.name])} for p in model.parameters]
+    children = [m.version for m in store.history(model.rig) if m.parent == model.version]
+    if args.json:
+        console.emit({**facts, "parameters": parameters, "children": children})
+        return 0
+    rows = [
+        ["parent", model.parent or "–"],
+        ["made by", facts["made_by"]],
+        ["made (UTC)", facts["created"] or "–"],
+        ["effects", ", ".join(model.effects) or "none"],
+        ["rollouts it was fitted to", str(facts["rollouts"])],
+        ["joints' own gains", facts["joint_gains"]],
+        ["error / noise floor, unseen rollouts", _error(facts)],
+        ["versions made from it", ", ".join(children) or "none"],
+    ]
+    console.table(model.version, ["what", "value"], rows)
+    if facts["statement"]:
+        print(facts["statement"])
+    for warning in facts["warnings"]:
+        print(warning)
+    rows = [[p["name"], p["unit"], p["mean"], p["low90"], p["high90"]] for p in parameters]
+    console.table("parameters", ["parameter", "unit", "mean", "5 %", "95 %"], rows)
+    return 0
+
+
+def _delete(args: argparse.Namespace, store: "ModelStore") -> int:
+    store.delete(args.version)
+    newest = store.versions(args.version.rpartition("-v")[0])[-1]
+    if args.json:
+        console.emit({"deleted": args.version, "newest": newest})
+    else:
+        print(f"{args.version} is deleted; the newest is now {newest}")
+    return 0
+
+
+def _error(facts: dict[str, Any]) -> str:
+    return "–" if facts["error_over_floor"] is None else f"{facts['error_over_floor']:.3g}"
+
+
+def _facts(model: "Model") -> dict[str, Any]:
+    from tcbi_infer.compare.versions import grounds_of
+
+    grounds = grounds_of(model)
+    return {
+        "model": model.version,
+        "rig": model.rig,
+        "parent": model.parent,
+        "made_by": grounds.kind,
+        "created": model.created,
+        "effects": model.effects,
+        "rollouts": len(grounds.rollouts),
+        "error_over_floor": grounds.error_over_floor,
+        "joint_gains": grounds.joint_gains,
+        "statement": grounds.statement,
+        "warnings": model.evidence.get("inference", {}).get("warnings", ()),
+    }
