@@ -1,4 +1,4 @@
-"""The hidden-effect benchmark as `./tcbi bench hidden`; all of it is in `hidden_effects/`."""
+"""Robots with hidden effects: how often a diagnosis names the right one, and a wrong one; see `hidden_effects/`."""
 
 import sys
 

@@ -90,6 +90,31 @@ def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
     assert mujoco.MjModel.from_xml_path(str(file)).nu == 1
 
 
+def test_versions_are_listed_shown_and_deleted_the_last_of_a_line_first(tmp_path, capsys):
+    store = ("--store", tmp_path)
+    rig = ("--rig", "servo_bench")
+    assert [answer(capsys, "add", e, "--prior", *rig, *store)["model"] for e in ("backlash", "command_latency")] == [
+        "servo_bench-v1",
+        "servo_bench-v2",
+    ]
+    listed = answer(capsys, "model", *rig, *store)["models"]
+    assert [(m["model"], m["parent"], m["made_by"], m["newest"]) for m in listed] == [
+        ("servo_bench-v0", None, "built in", False),
+        ("servo_bench-v1", "servo_bench-v0", "prior", False),
+        ("servo_bench-v2", "servo_bench-v1", "prior", True),
+    ]
+    shown = answer(capsys, "model", "servo_bench-v1", *store)
+    assert shown["children"] == ["servo_bench-v2"] and "backlash.gap" in [p["name"] for p in shown["parameters"]]
+    assert all(p["low90"] <= p["mean"] <= p["high90"] for p in shown["parameters"])
+    assert cli.main(["model", "servo_bench-v1", "--delete", *map(str, store)]) == 1
+    assert "is the parent of servo_bench-v2; delete those first" in capsys.readouterr().err
+    assert answer(capsys, "model", "servo_bench-v2", "--delete", *store)["newest"] == "servo_bench-v1"
+    assert answer(capsys, "add", "backlash", "--prior", *rig, "--model", "servo_bench-v0", *store)["model"] == (
+        "servo_bench-v3"
+    )
+    assert cli.main(["model", "latest", "--delete", *map(str, store)]) == 2
+
+
 def test_what_is_found_is_added_and_looked_beyond(bags, tmp_path, capsys):
     report = tmp_path / "why.html"
     words = ("diagnose", bags, "--effects", "command_latency,rotor_inertia", "--add", "--report", report)

@@ -1,4 +1,4 @@
-"""Entry of the benchmark: what it does stands in main.py."""
+"""Do posteriors hold the truth, and how near do they come? TCBI beside every method it is compared with."""
 
 import sys
 

@@ -63,7 +63,8 @@ def _spent(own: list[Result]) -> list[Row]:
 
 def _comparable(own: dict[str, Any], case: dict[str, Any]) -> bool:
     """Whether one is of TCBI and both infer from the same, with equal values of the settings that both methods have."""
-    same = all(own[key] == case[key] for key in ("source", "task", "rollouts", "duration", "noise", "bins"))
+    alike = ("source", "task", "rollouts", "duration", "noise", "bins", "loop")
+    same = all(own.get(key) == case.get(key) for key in alike)
     mine, theirs = dict(own["settings"]), dict(case["settings"])
     return own["method"] == TCBI and same and all(mine[key] == theirs[key] for key in mine.keys() & theirs.keys())
 
@@ -104,6 +105,7 @@ def title(case: dict[str, Any]) -> str:
     words.append(f"{case['particles']} x {case['generations']}")
     words += [f"noise {case['noise']:g}"] if case["noise"] else []
     words += [f"{case['bins']} bins"] if case["bins"] != 20 else []
+    words += [f"{case['loop']} loop"] if case.get("loop", "auto") != "auto" else []
     words += [f"{name}={value:g}" for name, value in case["settings"]]
     return f"{', '.join(words)}: {case['method']}"
 

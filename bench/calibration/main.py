@@ -5,6 +5,7 @@
 ./tcbi python bench/calibration --source robot --methods all --truths 0:20 --keep runs.jsonl
 ./tcbi python bench/calibration --methods paper@50x15,calibrated@50x3 --truths 0:20 --keep budgets.jsonl
 ./tcbi python bench/calibration --noise 0,0.02,0.04,0.08 --methods calibrated --truths 0:20 --keep noise.jsonl
+./tcbi python bench/calibration --methods calibrated,simopt --loop open --truths 0:20 --keep open.jsonl
 ./tcbi python bench/calibration --figures runs.jsonl            # of what was kept; nothing is run
 
 A truth is recorded. Source `model`: drawn from the prior, simulated with finer steps and sensor noise. Source `robot`:
@@ -59,7 +60,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
     return [
         Case(
             source, task, truth, method, noise, options.rollouts, options.duration, particles, generations,
-            options.bins, settings,
+            options.bins, settings, options.loop,
         )
         for source, task, truth, noise, (method, particles, generations, settings) in itertools.product(
             options.source.split(","), options.task.split(","), range(first, end), noises, methods
@@ -73,7 +74,7 @@ def _asked(text: str, options: argparse.Namespace) -> tuple[str, int, int, tuple
     wanted = re.fullmatch(r"(\d+)x(\d+)", budget or f"{options.particles}x{options.generations}")
     if name not in METHODS or wanted is None:
         raise SystemExit(f"--methods {text}: allowed is METHOD or METHOD@50x6, of {', '.join(METHODS)}")
-    pairs = [re.fullmatch(r"(\w+)=([-+.\deE]+)", pair) for pair in options.set]
+    pairs = [re.fullmatch(r"(\w+)=([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)", pair) for pair in options.set]
     if None in pairs:
         raise SystemExit(f"--set {options.set[pairs.index(None)]}: allowed is NAME=NUMBER, such as alpha=0.1")
     settings = {pair[1]: float(pair[2]) for pair in pairs if pair}
@@ -154,6 +155,7 @@ def main() -> int:
     parser.add_argument("--particles", type=int, default=50)
     parser.add_argument("--generations", type=int, default=6)
     parser.add_argument("--bins", type=int, default=20)
+    parser.add_argument("--loop", choices=("auto", "open", "closed"), default="auto", help="as of ./tcbi infer")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="of the methods that have such a setting"
     )

@@ -44,6 +44,27 @@ def test_logs_of_one_name_and_bags_that_are_there_are_all_told_before_anything_i
     assert sorted(bag.name for bag in (tmp_path / "bags").iterdir()) == ["old", "other"]
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_columns_may_be_apart_by_semicolons_or_tabs(run, tmp_path, separator):
+    path = log(tmp_path / "log.csv")
+    path.write_text(path.read_text().replace(",", separator))
+    assert run(path)[0] == 0
+
+
+def test_a_log_whose_times_have_another_unit_is_told_at_once(run, tmp_path):
+    path = log(tmp_path / "log.csv")
+    path.write_text("t,angle\n" + "".join(f"{10 * k},{0.01 * k}\n" for k in range(20)))
+    status, told = run(path)
+    assert status == 0 and "note: The samples come 10 s apart: the times look as if they had another unit" in told
+
+
+def test_the_name_of_the_times_column_is_asked_for_where_it_belongs(run, tmp_path):
+    path = log(tmp_path / "log.csv")
+    path.write_text(path.read_text().replace("t,angle", "stamp,angle"))
+    status, told = run(path)
+    assert status == 1 and "it has stamp, angle; correct the mapping (of the times: column in [time])" in told
+
+
 def test_a_log_that_is_not_there_is_told_with_what_to_give(run, tmp_path):
     status, told = run(tmp_path / "gone.csv")
     assert status == 1 and told.endswith(

@@ -27,6 +27,8 @@ from tcbi_infer.pieces import pieces
 from tcbi_infer.readings import Readings, within
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 
+SEPARATORS = ",;\t"  # of a CSV's columns: the one that its header has most of
+
 Table = dict[str, list[Any]]
 
 
@@ -102,8 +104,9 @@ class _Tables:
         path = self._file(signal.file)
         table, _ = self._read(path)
         if name not in table:
+            where = " (of the times: column in [time])" * (name == self.mapping.time_column)
             raise MappingError(
-                f"{path}: has no column {name!r}; it has {', '.join(table) or 'none'}; correct the mapping"
+                f"{path}: has no column {name!r}; it has {', '.join(table) or 'none'}; correct the mapping{where}"
             )
         return table[name]
 
@@ -149,7 +152,8 @@ def _parse(path: Path, entries: str, notes: list[str]) -> tuple[Table, dict[str,
 
 
 def _parse_csv(path: Path, text: str, notes: list[str]) -> Table:
-    reader = csv.reader(io.StringIO(text))
+    head = text.partition("\n")[0]
+    reader = csv.reader(io.StringIO(text), delimiter=max(SEPARATORS, key=head.count))
     try:
         rows = [(reader.line_num, row) for row in reader if row]
     except csv.Error as e:

@@ -95,7 +95,7 @@ def test_versions_are_numbered_by_rig_and_remembered_by_parent(store):
         store.delete(first.version)
     store.delete(second.version)
     assert store.load().version == first.version
-    assert store.save(first.with_effect("backlash")).version == "hexapod-v3", "policies may name the number"
+    assert store.save(first.with_effect("payload")).version == "hexapod-v3", "policies may name the number"
 
 
 def test_a_damaged_version_can_be_deleted_and_a_built_in_or_unknown_one_not(store):

@@ -129,7 +129,9 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
             f"fitted again, {_error(errors[effect])} with {saved.version}"
         )
         if not saved.evidence["accepted"]:
-            print("note: the diagnosis did not accept this effect; the version is a guess")
+            print(
+                f"note: the diagnosis did not accept {effect}, so the version is a guess. {saved.evidence['statement']}"
+            )
         for told in saved.evidence["disagreements"]:
             print(f"note: {told}")
     else:

@@ -1,6 +1,7 @@
 """`./tcbi bench`: measures the product; one script or folder of the checkout's `bench/` a benchmark."""
 
 import argparse
+import ast
 import json
 import math
 import subprocess
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     scripts = {path.stem: path for path in [*folder.glob("*.py"), *(p.parent for p in folder.glob("*/__main__.py"))]}
     scripts = dict(sorted(scripts.items()))
     if not args.name:
-        console.emit({"benchmarks": list(scripts)}) if args.json else print("\n".join(scripts))
+        _list(scripts, args.json)
         return 0
     if args.name not in scripts:
         raise WrongCallError(f"unknown benchmark {args.name!r}; there are {', '.join(scripts)}")
@@ -54,6 +55,23 @@ def run(args: argparse.Namespace) -> int:
     rows = [[f["name"], f["value"], f["unit"], f["target"], said[f["met"]]] for f in result["figures"]]
     console.table(result["name"], ["figure", "value", "unit", "target", "met"], rows)
     return 0
+
+
+def _list(scripts: dict[str, Path], as_json: bool) -> None:
+    sources = {name: path / "__main__.py" if path.is_dir() else path for name, path in scripts.items()}
+    about = {name: _summary(path) for name, path in sources.items()}
+    if as_json:
+        console.emit({"benchmarks": list(about), "about": about})
+        return
+    for name, text in about.items():
+        print(f"  {name:16} {text}")
+    print("./tcbi bench NAME runs one, with --quick a short one; docs/benchmarks.md has their figures and targets.")
+
+
+def _summary(script: Path) -> str:
+    """The first sentence of a benchmark's docstring."""
+    text = " ".join((ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or "").split("\n\n")[0].split())
+    return text
 
 
 def figure(name: str, value: float, unit: str, least: float | None = None, most: float | None = None) -> dict[str, Any]:

@@ -46,6 +46,9 @@ def run(args: argparse.Namespace) -> int:
     store = ModelStore(args.store)
     access = Access.of(args.host, args.port, args.allow_motion)
     folders = [store.root / "rollouts", *(folder.expanduser().absolute() for folder in args.folders)]
+    for folder in args.folders:
+        if not folder.expanduser().is_dir():
+            console.note(f"note: {folder} is no folder yet; bags that come there will be shown")
     bench = Workbench(store, folders, access)
 
     def started() -> None:

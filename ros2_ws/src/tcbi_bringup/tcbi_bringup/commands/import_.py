@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     """Read every log first, then write: a fault in one, or a bag that is there already, leaves nothing behind."""
     from tcbi_infer.bags.measurement_writer import write_measurement
     from tcbi_infer.bags.writer import check_free
+    from tcbi_infer.compare.guards import guard
     from tcbi_infer.importer import logs_in, read_rollouts
     from tcbi_infer.mapping import load_mapping
 
@@ -50,12 +51,14 @@ def run(args: argparse.Namespace) -> int:
     rows = []
     for m in measurements:
         bag = write_measurement(args.out, m, torque_commands=mapping.torque_commands)
-        for note in m.notes:
-            console.note(f"{m.rollout_id}: {note}")
         rows.append((str(bag), len(m.time), float(m.time[-1]), len(m.commands.time)))
+    findings = guard(measurements)
+    for finding in findings:
+        console.note(f"note: {finding}")
     if args.json:
         keys = ("bag", "samples", "seconds", "commands")
-        console.emit({"rig": mapping.rig, "bags": [dict(zip(keys, row, strict=True)) for row in rows]})
+        bags = [dict(zip(keys, row, strict=True)) for row in rows]
+        console.emit({"rig": mapping.rig, "bags": bags, "findings": findings})
     else:
         console.table(f"rig {mapping.rig}", ["bag", "samples", "seconds", "commands"], rows)
     return 0

@@ -111,7 +111,9 @@ class Following:
         m = self.measurement
         settled = self.known() & (m.time > m.commands.time[0] + m.commands.ramp + 0.2)
         asked, seen = self.asked(0.0)[settled], self._seen[settled]
-        size = np.std(asked, axis=0) if len(asked) else np.zeros(len(self.joints))
+        if not settled.any():
+            return np.full(len(self.joints), np.nan)
+        size = np.std(asked, axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(size > MOVES / 2, np.std(seen, axis=0) / size, np.nan)
 

@@ -169,7 +169,9 @@ def _clock(m: Measurement) -> list[str]:
     unbroken = steps[~np.isin(m.time[:-1], gaps)] if len(gaps) <= FEW_GAPS else steps
     median, mean = float(np.median(steps)), float(np.mean(unbroken))
     if not SAMPLE_GAPS[0] <= median <= SAMPLE_GAPS[1]:
-        findings.append(f"The samples come {_span(median)} apart: the times look as if they had another unit than seconds")
+        findings.append(
+            f"The samples come {_span(median)} apart: the times look as if they had another unit than seconds"
+        )
     if mean > 1.2 * median:
         findings.append(f"The stream claims {1 / median:.0f} Hz but delivers {1 / mean:.0f} Hz")
     if m.commands.time.size and m.commands.time[0] > m.time[-1]:
