@@ -38,6 +38,7 @@ SETTLE_STRETCH = 2.5  # times the time step while settling: a posture at rest ha
 SETTLE_STEP_S = 0.005  # but no longer than this
 SETTLE_LAST_S = 0.1  # at the time step itself: contacts are softer over a longer one
 MEMORY_S = 0.3  # s of samples kept for late sensors
+SURELY = 1e-6  # of a time step: a command that comes when a step begins acts in it, whatever the last bits say
 
 silence_mujoco()
 
@@ -331,9 +332,9 @@ class Simulator:
     def _control(self, samples: int) -> np.ndarray:
         """(B, steps, actuators) what the servos track in the next samples."""
         steps = samples * self.per_sample
-        midpoints = (self._taken * self.per_sample + np.arange(steps) + 0.5) * self.timestep
+        begins = (self._taken * self.per_sample + np.arange(steps) + SURELY) * self.timestep
         control = np.zeros((self.count, steps, self._mj.nu))
-        control[:, :, self._actuators] = self.path.references(midpoints)
+        control[:, :, self._actuators] = self.path.references(begins)
         return control
 
     def _advance(self, control: np.ndarray, forces: bool = True) -> Samples:
