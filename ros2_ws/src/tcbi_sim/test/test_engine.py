@@ -213,6 +213,21 @@ def test_power_acts_at_its_own_time_however_the_others_are_switched():
     assert np.all(early[42:66] < late[42:66])
 
 
+@pytest.mark.parametrize("timestep", [0.002, 0.005, 0.01])
+def test_a_servo_in_steady_motion_is_as_far_behind_whatever_the_time_step(timestep):
+    """Half a step less behind would pass for a servo that is some 5 % stiffer, of steps of 5 ms."""
+    speed = 1.0  # rad/s
+    commands = [Commands(np.zeros(1), np.full((1, 1), speed), ramp=1.0)]
+    scenarios = [Scenario("log", 0.9, settle=0.0, constants=(("mass", 0.1),))]
+    simulated = functools.partial(
+        simulate, base_model("servo_bench"), np.array([[5e-3, 0.02, 0.002]]), scenarios, commands=commands
+    )
+    steady = slice(30, None)  # samples after the start has died away
+    reference = simulated(timestep=0.0002).joint_position[0, 0, steady, 0]
+    found = simulated(timestep=timestep).joint_position[0, 0, steady, 0]
+    assert abs(np.mean(found - reference)) < 0.1 * timestep * speed
+
+
 def test_a_servo_reaches_its_target_on_a_linear_ramp():
     model = base_model("servo_bench")
     simulator = Simulator(
