@@ -40,7 +40,7 @@ from tcbi_sim.workers import chunk_size, present
 LEAST_SAMPLES = 5
 CROWDED = 0.9  # share of a channel's samples in one bin, from which it is said
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
-LONGEST_STEP = 0.005  # s: with 10 ms stiff servos look softer by up to a fifth (docs/tcbi.md)
+LONGEST_STEP = 0.005  # s: with 10 ms contacts are softer, and stiff servos look up to an eighth softer or stiffer
 
 
 @dataclass(frozen=True)
