@@ -107,4 +107,4 @@ def test_the_version_that_a_diagnosis_makes_knows_the_gains_and_predicts_better_
     assert np.corrcoef(fitted.joint_gains, robot.joint_gains)[0, 1] > 0.8
     alike = dataclasses.replace(fitted, joint_gains=())
     error, before = (compare(m, unseen, particles=0).error_over_floor for m in (fitted, alike))
-    assert error - 1.0 < 0.7 * (before - 1.0)
+    assert error - 1.0 < 0.8 * (before - 1.0)

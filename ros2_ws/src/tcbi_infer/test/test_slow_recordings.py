@@ -44,11 +44,12 @@ def sampled(motion: list[Measurement], rate: float, begins: tuple[float, float] 
     return rollouts
 
 
-@pytest.mark.parametrize("rate", [10.0, 23.0, 50.0])
-def test_the_true_model_errs_by_no_more_than_the_noise_of_a_slow_recording(motion, rate):
+@pytest.mark.parametrize(("rate", "most"), [(10.0, 1.5), (23.0, 1.2), (50.0, 1.2)])
+def test_the_true_model_errs_by_hardly_more_than_the_noise_of_a_slow_recording(motion, rate, most):
+    """A curve through ten readings a second cuts the corners of jumps that last a fifth of a second."""
     found = compare(true_model(), sampled(motion, rate), particles=2)
     (servo,) = [s for s in found.signals if s.name == "servo"]
-    assert found.error_over_floor < 1.3
+    assert found.error_over_floor < most
     assert servo.noise_floor == pytest.approx(np.degrees(NOISE), rel=0.15)
 
 

@@ -110,7 +110,7 @@ def test_a_version_that_is_one_point_is_refused_as_a_prior():
 
 def test_what_excludes_the_data_is_the_versions_prior_and_the_parameter_and_value_are_named():
     _, measured = bench_rollouts((0.65, 0.4, 0.6))  # narrow() expects a gain of 0.5 +- 0.02
-    result = infer(Problem.of(narrow(), measured, prior=MODEL, timestep=0.01), particles=20, generations=4)
+    result = infer(Problem.of(narrow(), measured, prior=MODEL), particles=20, generations=4)
     (line,) = [line for line in result.warnings if "seems to exclude the data" in line]
     assert line.startswith("the prior of gain") and "where the prior expects" in line and result.fits is False
     best = np.array(result.generations[-1]["best"])

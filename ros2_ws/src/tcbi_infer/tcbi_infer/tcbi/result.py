@@ -233,7 +233,7 @@ def goodness_of_fit(
         for name, ratio in large.items()
         if name not in falling
     ]
-    untold = [name for name in (large | poor if bounds else large) if name in falling]
+    untold = [name for name in (large | poor if bounds and not far else large) if name in falling]
     if untold and not lines:
         return GoodnessOfFit([UNTOLD.format(", ".join(untold))], None, 1.0)
     distrust = worst_misfit(last) if lines else 1.0
@@ -246,15 +246,16 @@ def goodness_of_fit(
 
 
 def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> dict[str, str]:
-    """A line for each parameter whose best values all lie beyond what draws (N, P) of the prior lead to expect."""
+    """A line for each parameter whose best values mostly lie beyond what draws (N, P) of the prior lead to expect."""
     best, lines = np.asarray(last.notes.get("best", [])), {}
     low, high = np.quantile(prior, [UNLIKELY, 1 - UNLIKELY], axis=0)
     for i, p in enumerate(parameters if len(best) else ()):
         # a prior that reaches to the null value has the effect absent among what it expects
-        below = best[:, i].max() < low[i] and not (p.null == p.low and low[i] < NEAR)
-        above = best[:, i].min() > high[i] and not (p.null == p.high and 1 - high[i] < NEAR)
+        middle = float(np.median(best[:, i]))
+        below = middle < low[i] and not (p.null == p.low and low[i] < NEAR)
+        above = middle > high[i] and not (p.null == p.high and 1 - high[i] < NEAR)
         if below or above:
-            found, least, most = (f"{p.from_unit(unit):.3g}" for unit in (best[:, i].mean(), low[i], high[i]))
+            found, least, most = (f"{p.from_unit(unit):.3g}" for unit in (middle, low[i], high[i]))
             lines[p.name] = (
                 f"the prior of {p.name} seems to exclude the data: what fits best has {found}{_unit(p)}, where the "
                 f"prior expects {least} to {most}{_unit(p)} ({1 - 2 * UNLIKELY:.0%}), and fits poorly; take the flat "
