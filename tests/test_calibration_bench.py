@@ -127,7 +127,7 @@ def test_the_budget_has_its_target_beside_the_papers(bench) -> None:
 
 def options(**given) -> argparse.Namespace:
     rest = {"source": "model", "task": "forward", "truths": "0:1", "noise": "0", "set": [], "rollouts": 20, "bins": 20}
-    return argparse.Namespace(**rest | {"duration": 8.0, "particles": 50, "generations": 6} | given)
+    return argparse.Namespace(**rest | {"duration": 8.0, "particles": 50, "generations": 6, "loop": "auto"} | given)
 
 
 def test_a_method_may_have_a_budget_of_its_own_and_runs_without_a_setting_that_it_lacks(bench, capsys) -> None:

@@ -172,7 +172,7 @@ def test_up_without_its_robot_says_why_and_ends_with_1(call, tmp_path):
 
 
 def test_up_with_a_model_that_is_not_there_is_refused_at_once(call, tmp_path):
-    up = call("up", "--model", "hexapod-v99", "--store", str(tmp_path / "store"))
+    up = call("up", "--model", "hexapod-v99", "--store", str(tmp_path))
     assert up.process.wait(DEADLINE_S) == 2
     assert len(up.text().strip().splitlines()) == 1 and "hexapod-v99" in up.text()
 
