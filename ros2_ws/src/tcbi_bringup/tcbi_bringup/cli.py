@@ -208,10 +208,13 @@ def dispatch(words: list[str]) -> int:
     rest = words[1:]
     if getattr(module, "PASSES_ON", False) and rest[:1] not in (["-h"], ["--help"]):
         rest = ["--", *rest]  # argparse would take a leading option for its own
+    rest, own = _divided(rest) if hasattr(module, "TAKES_BEHIND_DASHES") else (rest, [])
     try:
         args = parser_for(command, module).parse_args(rest)
     except SystemExit as e:  # argparse has printed what is wrong, or the help
         return int(e.code or OK)
+    if own:
+        setattr(args, module.TAKES_BEHIND_DASHES, own)
     with store_of(args):
         if hasattr(module, "prepare"):
             module.prepare(args)
@@ -223,6 +226,12 @@ def dispatch(words: list[str]) -> int:
 
         with console.json_only(), workers_of(args):
             return int(module.run(args))
+
+
+def _divided(words: list[str]) -> tuple[list[str], list[str]]:
+    """What stands before and behind `--`, which argparse loses where an option stands between positional words."""
+    at = words.index("--") if "--" in words else len(words)
+    return words[:at], words[at + 1 :]
 
 
 def check_names(args: argparse.Namespace) -> None:

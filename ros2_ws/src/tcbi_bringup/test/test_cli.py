@@ -296,3 +296,8 @@ def test_a_store_that_is_a_file_is_refused_before_anything_else(tmp_path, monkey
     assert cli.main(["history"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "TCBI_STORE" in line and "allowed is a folder" in line
+
+
+def test_what_stands_behind_two_dashes_is_the_benchmarks_wherever_the_options_stand(capfd):
+    assert cli.main(["bench", "hidden", "--json", "--", "--seeds", "3"]) == 1
+    assert "argument --seeds: got '3'" in capfd.readouterr().err

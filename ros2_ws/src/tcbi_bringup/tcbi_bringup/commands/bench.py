@@ -13,6 +13,7 @@ from tcbi_bringup.commands import console
 from tcbi_bringup.commands.test import checkout
 from tcbi_bringup.errors import BringupError, WrongCallError
 
+TAKES_BEHIND_DASHES = "options"
 SUMMARY = "Measure the product and print each figure beside its target (docs/benchmarks.md)."
 
 
