@@ -221,7 +221,7 @@ def peer() -> list[dict[str, Any]]:
     """mujoco.sysid on the same three, fitted to the same and judged on the same; nothing where it is not installed."""
     try:
         from peers.mujoco_sysid import compare
-    except ImportError as e:
+    except (ImportError, AttributeError) as e:  # without what the extra brings the module is there, and empty
         print(f"mujoco.sysid is left out ({e}); install mujoco[sysid]", file=sys.stderr)
         return []
     return [told(name, value, unit) for name, value, unit in compare(DATA)]
