@@ -13,7 +13,7 @@ from tcbi_bringup.commands import console
 from tcbi_bringup.commands.test import checkout
 from tcbi_bringup.errors import BringupError, WrongCallError
 
-TAKES_BEHIND_DASHES = "options"
+TAKES_BEHIND_DASHES = "options"  # the argument that gets what stands behind `--`
 SUMMARY = "Measure the product and print each figure beside its target (docs/benchmarks.md)."
 
 
@@ -70,9 +70,9 @@ def _list(scripts: dict[str, Path], as_json: bool) -> None:
 
 
 def _summary(script: Path) -> str:
-    """The first sentence of a benchmark's docstring."""
-    text = " ".join((ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or "").split("\n\n")[0].split())
-    return text
+    """What a benchmark's docstring says first."""
+    told = ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or ""
+    return " ".join(told.partition("\n\n")[0].split())
 
 
 def figure(name: str, value: float, unit: str, least: float | None = None, most: float | None = None) -> dict[str, Any]:

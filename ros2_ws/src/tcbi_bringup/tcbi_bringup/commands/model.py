@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _list(args: argparse.Namespace, store: "ModelStore") -> int:
     versions = store.history(args.rig or None)
-    newest = {model.rig: model.version for model in versions}
+    newest = {model.rig: store.versions(model.rig)[-1] for model in versions}  # be it damaged
     facts = [{**_facts(model), "newest": newest[model.rig] == model.version} for model in versions]
     if args.json:
         console.emit({"models": facts})

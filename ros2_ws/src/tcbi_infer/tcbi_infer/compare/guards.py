@@ -228,7 +228,8 @@ def _beyond_rig(m: Measurement, largest: float, rig: Rig) -> list[str]:
             f"Joint positions reach {largest:.3g} rad, and the rig's joints at most {rig.joint_range:.3g}: these look "
             "as if they had another unit than radians"
         ]
-    speed = float(np.nanquantile(np.abs(np.gradient(m.joint_position, m.time, axis=0)).max(axis=1), 0.9))
+    speeds = np.nan_to_num(np.abs(np.gradient(m.joint_position, m.time, axis=0)))
+    speed = float(np.quantile(speeds.max(axis=1), 0.9))
     if speed > RUSH * rig.speed_limit:
         return [
             f"The joints move at {speed:.3g} rad/s, and the rig's servos at most at {rig.speed_limit:.3g}: the "
