@@ -83,7 +83,7 @@ def bare_physics(environment: HexapodVectorEnv, actions: list[np.ndarray]) -> Ca
     posture = np.array([s.initial_joint_position for s in environment.simulator.scenarios])
     targets = [posture, *(environment.limit * np.clip(a, -1.0, 1.0) for a in actions)]
     steps = round(CONTROL_PERIOD_S / TIMESTEP_S)
-    share = (np.arange(steps) + 0.5)[None, :, None] / steps
+    share = np.arange(steps)[None, :, None] / steps
     ramps = [a[:, None] + share * (b - a)[:, None] for a, b in itertools.pairwise(targets)]
     standing = np.repeat(posture[:, None], SETTLE_STEPS, axis=1)
 

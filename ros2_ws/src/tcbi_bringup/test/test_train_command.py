@@ -143,7 +143,7 @@ def test_two_policies_without_a_name_that_are_kept_at_once_have_one_each(
 
     monkeypatch.setattr(artefact, "save_policy", slowly)
     with ThreadPoolExecutor(2) as pool:
-        kept = list(pool.map(lambda run: train._publish(run, "", tmp_path), runs))
+        kept = [path for path, _ in pool.map(lambda run: train._publish(run, "", tmp_path), runs)]
     assert sorted(path.stem for path in kept) == ["balance-1", "balance-2"]
 
 
@@ -168,7 +168,7 @@ def test_a_policy_is_kept_under_the_very_name_that_was_asked_for(tmp_path: Path)
         save_policy(run / "policy", shipped.mlp, shipped.card)
         (run / "tensorboard").mkdir()
         given = out if "/" not in out else str(tmp_path / out)
-        assert train._publish(run, given, tmp_path) == tmp_path / f"{path}.safetensors"
+        assert train._publish(run, given, tmp_path)[0] == tmp_path / f"{path}.safetensors"
     assert (tmp_path / "files" / "v1.tensorboard").is_dir() and (tmp_path / "tensorboard" / "v1.2").is_dir()
 
 

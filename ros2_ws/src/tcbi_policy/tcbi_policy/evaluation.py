@@ -36,7 +36,8 @@ def check_rig(policy: str, model: Model) -> None:
       PolicyMisfit: everything that differs, by name.
     """
     rig = load_rig(model.rig)
-    check_fit(f"{policy} (on {model.version})", HEXAPOD, robot_layout(rig.joint_names, rig.joint_range))
+    robot, remedy = robot_layout(rig.joint_names, rig.joint_range), "name a model of the hexapod with --model"
+    check_fit(f"{policy} (on {model.version})", HEXAPOD, robot, remedy)
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,8 @@ def robot_layout(
 HEXAPOD = robot_layout()
 
 
-def check_fit(policy: str, layout: Layout, robot: Layout) -> None:
-    """Refuse a policy whose layout is not the robot's.
+def check_fit(policy: str, layout: Layout, robot: Layout, remedy: str = REMEDY) -> None:
+    """Refuse a policy whose layout is not the robot's; the line ends with what to do instead.
 
     Raises:
       PolicyMisfit: everything that differs, by name.
@@ -58,7 +58,7 @@ def check_fit(policy: str, layout: Layout, robot: Layout) -> None:
     if abs(layout.rate_hz - robot.rate_hz) > 1e-9:
         faults.append(f"control rate is {layout.rate_hz:g} Hz, the robot's is {robot.rate_hz:g} Hz")
     if faults:
-        raise PolicyMisfit(f"policy {policy} does not fit this robot: {'; '.join(faults)}; {REMEDY}")
+        raise PolicyMisfit(f"policy {policy} does not fit this robot: {'; '.join(faults)}; {remedy}")
 
 
 def _compare(what: str, mine: tuple[str, ...], robots: tuple[str, ...]) -> list[str]:

@@ -239,7 +239,8 @@ class TrainingProcess:
         """
         status = self._process.wait()
         if status != 0:
-            how = f"signal {-status}" if status < 0 else f"status {status}"
+            again = " (was memory short? the same call goes on from the last checkpoint)"
+            how = f"signal {-status}{again}" if status < 0 else f"status {status}"
             raise TrainingError(f"training ended with {how}: {self._fault or self._last_line()}")
 
     def _last_line(self) -> str:

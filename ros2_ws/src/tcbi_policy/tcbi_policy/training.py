@@ -157,11 +157,14 @@ class Training:
     def _set_steps(self) -> int:
         return self.environment.steps * self.config.environments
 
+    @property
+    def _total_steps(self) -> int:
+        """The configuration's, rounded up to whole sets of episodes; 0 where only time is limited."""
+        return math.ceil(self.config.steps / self._set_steps) * self._set_steps
+
     def _steps_left(self) -> int:
-        """Of whole sets of episodes; more than can be taken where only time is limited."""
-        if not self.config.steps:
-            return sys.maxsize
-        return math.ceil(self.config.steps / self._set_steps) * self._set_steps - self.state.steps
+        """More than can be taken where only time is limited."""
+        return self._total_steps - self.state.steps if self.config.steps else sys.maxsize
 
     @property
     def warm_up(self) -> int:
@@ -215,7 +218,7 @@ class Training:
     def progress(self) -> None:
         """Say how far the run is."""
         last = self.state.curve[-1]["mean_return"] if self.state.curve else float("nan")
-        steps = {"steps": self.state.steps, "total_steps": self.config.steps, "mean_return": last}
+        steps = {"steps": self.state.steps, "total_steps": self._total_steps, "mean_return": last}
         times = {"share": self._share(), "elapsed_s": self.state.elapsed, "remaining_s": self._remaining()}
         self._report({"event": "progress", **steps, **times})
 
@@ -277,9 +280,10 @@ class Training:
 
     def _artefact(self) -> Policy:
         weights, particles = self.model.weights, self.model.particles
-        spread = np.sqrt(weights @ np.square(particles - weights @ particles))
+        mean = weights @ particles
+        spread = np.sqrt(weights @ np.square(particles - mean))
         posterior = {p.name: {"unit": p.unit, "mean": float(m), "sd": float(s)}
-                     for p, m, s in zip(self.model.parameters, self.model.mean(), spread, strict=True)}  # fmt: skip
+                     for p, m, s in zip(self.model.parameters, mean, spread, strict=True)}  # fmt: skip
         config = dataclasses.asdict(self.config)
         taken = {"steps_taken": self.state.steps, "cpu_s": round(self.state.cpu, 1),
                  "mean_return": self.state.best, "best_steps": self.state.best_steps,

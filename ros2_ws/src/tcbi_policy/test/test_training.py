@@ -145,11 +145,12 @@ def test_training_changes_the_policy_and_the_card_tells_how(tmp_path: Path) -> N
     assert card.curve[0]["steps"] == 0 and card.curve[-1]["steps"] == 480
 
 
-def test_the_card_tells_the_weighted_spread_of_the_posterior(tmp_path: Path) -> None:
+def test_the_card_tells_the_weighted_mean_and_spread_of_the_posterior(tmp_path: Path) -> None:
     weights = np.array([0.7, 0.2, 0.1])
     model = MODEL.with_particles(MODEL.particles[:3], np.log(weights))
     told = Training(tmp_path, TINY, model)._artefact().card.posterior
     for name, column in zip(model.names, model.particles.T, strict=True):
+        assert told[name]["mean"] == pytest.approx(weights @ column)
         assert told[name]["sd"] == pytest.approx(np.sqrt(np.average((column - weights @ column) ** 2, weights=weights)))
 
 

@@ -25,7 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--methods",
         type=not_empty,
         metavar="NAME,NAME",
-        help="of fixed_dr, abc, simopt, bayesopt, tcbi_reward, tcbi_paper, tcbi, tcbi_effect (default: the preset's)",
+        help="of fixed_dr, abc, simopt, bayesopt, tcbi_reward, tcbi_paper, tcbi, tcbi_effect (default: the preset's); "
+        "bayesopt needs Optuna (docs/study.md) and is left out without it",
     )
     parser.add_argument("--out", type=folder_path, help="folder of the study (default: study-PRESET in the store)")
     parser.add_argument(

@@ -70,17 +70,17 @@ def run(args: argparse.Namespace) -> int:
     folder = write_run(store.folder("runs") / planned.key("train"), planned)
     console.note_model(args.model, planned.model)
     console.note(f"training {args.task} on {planned.model}; interrupted, the same command goes on from {folder}")
-    console.note(f"to watch it with TensorBoard: tensorboard --logdir {folder}")
+    console.note(f"to watch it with TensorBoard, which you install yourself: tensorboard --logdir {folder}")
     done: dict[str, Any] = {}
     with TrainingProcess(folder) as process, console.progress("training", total=1.0) as advance:
         for event in process.events():
             follow(event, advance)
             done = event if event["event"] == "done" else done
-    path = _publish(folder, args.out or "", store.root)
+    path, logged = _publish(folder, args.out or "", store.root)
     result = {"policy": str(path), "policy_id": f"{path.stem}@{done['policy_id'].partition('@')[2]}", "task": args.task,
               "model": planned.model, "steps": done["steps"],
               "mean_return": done["mean_return"], "best_steps": done["best_steps"],
-              "seconds": done["elapsed_s"], "cpu_seconds": done["cpu_s"]}  # fmt: skip
+              "seconds": done["elapsed_s"], "cpu_seconds": done["cpu_s"], "tensorboard": str(logged)}  # fmt: skip
     if args.json:
         console.emit(result)
     else:
@@ -88,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
             f"{result['policy_id']}: mean return {_known(done['mean_return']):.0f}, the best evaluation, after "
             f"{done['best_steps']} of {done['steps']} steps, {path}"
         )
+        print(f"what was logged: tensorboard --logdir {logged}")
     return 0
 
 
@@ -176,11 +177,11 @@ def _stem(out: str, root: Path) -> Path:
     return root / "policies" / out
 
 
-def _publish(folder: Path, out: str, root: Path) -> Path:
-    """Keep the policy under a name in the store or as a file, and what was logged; the run's folder is then done with.
+def _publish(folder: Path, out: str, root: Path) -> tuple[Path, Path]:
+    """Keep the policy under a name in the store or as a file, and what was logged: both places.
 
-    Without a name it gets the next free one of its task. What was logged moves to `tensorboard/NAME` of the store, or
-    beside the file as `NAME.tensorboard`.
+    The run's folder is then done with. Without a name the policy gets the next free one of its task. What was logged
+    moves to `tensorboard/NAME` of the store, or beside the file as `NAME.tensorboard`.
 
     Raises:
       BringupError: what was logged cannot be copied there; the policy is kept.
@@ -210,7 +211,7 @@ def _publish(folder: Path, out: str, root: Path) -> Path:
             f"another --store; the log stays in {folder}"
         ) from e
     shutil.rmtree(folder, ignore_errors=True)
-    return path
+    return path, logged
 
 
 def _known(value: float | None) -> float:
