@@ -102,7 +102,7 @@ class Plan:
 HOUR = Plan(
     {
         "balance": TaskPlan("balance-early", 10, 32, 5, 20_480, 15, 5),  # 30 deployments of each method in all
-        "forward": TaskPlan("forward-early", 8, 24, 4, 24_000, 15, 2),
+        "forward": TaskPlan("forward-early", 8, 24, 4, 48_000, 15, 2),
     },
     ((11, "strong"), (12, "strong")),
     tuple(name for name in CONTESTANTS if name != "tcbi_paper"),
@@ -121,7 +121,7 @@ PRESETS = {"hour": HOUR, "full": FULL}
 # s of a piece, by stage and task, in the preset `hour` on two cores: for the estimate of the time left alone
 COSTS = {
     "balance": {"collect": 5.0, "deploy": 7.0, "infer": 21.0, "train": 24.0, "noise": 11.0},
-    "forward": {"collect": 15.0, "deploy": 31.0, "infer": 66.0, "train": 31.0, "noise": 13.0},
+    "forward": {"collect": 15.0, "deploy": 31.0, "infer": 66.0, "train": 56.0, "noise": 13.0},
 }
 DIAGNOSIS_COST, NO_INFERENCE_COST = 21.0, 2.0
 
