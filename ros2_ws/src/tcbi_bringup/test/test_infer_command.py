@@ -3,11 +3,13 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tcbi_bringup import cli
+from tcbi_bringup.commands import infer
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Scenario
@@ -47,3 +49,22 @@ def test_without_the_option_there_is_no_advice_and_methods_that_do_not_judge_ref
     assert "advice" not in json.loads(capsys.readouterr().out)
     assert cli.main([*given, "--advise"]) == 2
     assert "method prior does not judge what the data tell" in capsys.readouterr().err
+
+
+def test_an_inference_that_goes_on_says_so_before_it_works(
+    bags: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    budget = ["--particles", "10", "--generations", "2", "--model", "servo_bench-v0"]
+    given = ["infer", *bags, *budget, "--store", str(tmp_path), "--json"]
+
+    def pressed(progress: Any, names: tuple[str, ...]) -> str:
+        if progress.generation == 2:
+            raise KeyboardInterrupt
+        return ""
+
+    with monkeypatch.context() as patched:
+        patched.setattr(infer, "_state", pressed)
+        assert cli.main(given) == 130
+    assert "goes on" not in capsys.readouterr().err.partition("inference stopped")[0]
+    assert cli.main(given) == 0
+    assert "goes on after generation 1, where an earlier run was stopped" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from tcbi_bringup.arguments import at_least, seed, timestep
@@ -112,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, infer, save, print."""
     from tcbi_infer import posterior
     from tcbi_infer.report import Report, add_inference, add_kept_ladder
-    from tcbi_infer.tcbi.driver import infer
+    from tcbi_infer.tcbi.driver import Interrupted, infer
     from tcbi_infer.tcbi.method import find_method
     from tcbi_infer.tcbi.problem import Problem
     from tcbi_sim.store import ModelStore
@@ -141,15 +142,19 @@ def run(args: argparse.Namespace) -> int:
     console.note(f"{len(problem.rollout_ids)} rollouts, model {model.version}, method {method.name}")
     given = {"particles": args.particles, "generations": args.generations}
     settings = {**dict(args.set), **{name: value for name, value in given.items() if value is not None}}
-    with console.progress("inferring", total=settings.get("generations")) as advance:
-        result = infer(
-            problem,
-            method.name,
-            seed=args.seed,
-            folder=store.folder("runs"),
-            watch=lambda p: advance(done=p.generation - 1 + p.share, total=p.generations, note=_state(p, model.names)),
-            **settings,
-        )
+    try:
+        with console.progress("inferring", total=settings.get("generations")) as advance:
+            result = infer(
+                problem,
+                method.name,
+                seed=args.seed,
+                folder=store.folder("runs"),
+                watch=_watcher(advance, model.names),
+                **settings,
+            )
+    except Interrupted as e:
+        console.note(str(e))
+        raise KeyboardInterrupt from e
     saved = posterior.save(store, result)
     for line in result.warnings:
         console.note(line)
@@ -240,6 +245,21 @@ def _print_truth(result: "Result", truth: dict[str, float]) -> None:
         console.table(
             "beside the truth", ["parameter", "unit", "truth", "error of the mean", "in the 90 % interval?"], rows
         )
+
+
+def _watcher(advance: Callable[..., None], names: tuple[str, ...]) -> Callable[["Progress"], None]:
+    """Shows progress, and says first where an earlier run left off."""
+    begun = False
+
+    def watch(p: "Progress") -> None:
+        nonlocal begun
+        done = p.generation - 1 + p.share
+        if not begun and done >= 1:
+            console.note(f"goes on after generation {done:.0f}, where an earlier run was stopped")
+        begun = True
+        advance(done=done, total=p.generations, note=_state(p, names))
+
+    return watch
 
 
 def _state(progress: "Progress", names: tuple[str, ...]) -> str:
