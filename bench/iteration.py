@@ -23,6 +23,7 @@ from inference import stopwatch
 
 from tcbi_bringup.commands.bench import figure
 from tcbi_infer.tcbi.driver import settings_of
+from tcbi_infer.tcbi.loop import CLOSED
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import LONGEST_STEP, Problem
 from tcbi_policy.artefact import find_policy
@@ -45,7 +46,9 @@ def problems(task: str, rollouts: int, duration: float) -> dict[str, Problem]:
     out = simulate(model, model.mean()[None], scenarios, controller=actor, timestep=STEP_S)
     measured = [out.measurement(0, s, f"rollout_{s}", actor.policy_id) for s in range(rollouts)]
     statistics = {name: find_method(name).statistics for name in METHODS}
-    return {name: Problem.of(model, measured, statistics=s, timestep=STEP_S) for name, s in statistics.items()}
+    return {
+        name: Problem.of(model, measured, statistics=s, loop=CLOSED, timestep=STEP_S) for name, s in statistics.items()
+    }
 
 
 def iterating(of: Problem, name: str, particles: int) -> Callable[[], None]:

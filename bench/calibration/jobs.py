@@ -35,7 +35,7 @@ class Case:
     generations: int
     bins: int
     settings: tuple[tuple[str, float], ...]  # of the method's own
-    loop: str = "auto"  # open: recorded commands are replayed; closed: the policy acts on the simulated robot
+    loop: str = ""  # as of ./tcbi infer; empty for the method's own
 
     def key(self) -> str:
         """Equal for equal cases, and for their JSON."""
@@ -63,7 +63,7 @@ def _run(case: Case, threads: int) -> Result:
         base_model(RIG),
         rollouts,
         statistics=method.statistics,
-        loop=case.loop,
+        loop=case.loop or method.loop,
         threads=threads,
         seed=INFERENCES + case.truth,
         bins=case.bins,

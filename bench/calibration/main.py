@@ -5,7 +5,7 @@
 ./tcbi python bench/calibration --source robot --methods all --truths 0:20 --keep runs.jsonl
 ./tcbi python bench/calibration --methods paper@50x15,calibrated@50x3 --truths 0:20 --keep budgets.jsonl
 ./tcbi python bench/calibration --noise 0,0.02,0.04,0.08 --methods calibrated --truths 0:20 --keep noise.jsonl
-./tcbi python bench/calibration --methods calibrated,simopt --loop open --truths 0:20 --keep open.jsonl
+./tcbi python bench/calibration --methods calibrated,simopt --loop auto --truths 0:20 --keep policies_act.jsonl
 ./tcbi python bench/calibration --figures runs.jsonl            # of what was kept; nothing is run
 
 A truth is recorded. Source `model`: drawn from the prior, simulated with finer steps and sensor noise. Source `robot`:
@@ -32,6 +32,7 @@ from jobs import CODE, Case, Result, run
 from truths import POLICIES
 
 from tcbi_infer.divergence import LEAST_BINS
+from tcbi_infer.tcbi.loop import LOOPS
 from tcbi_infer.tcbi.method import METHODS
 
 SOURCES = ("model", "robot", "hidden")
@@ -155,7 +156,7 @@ def main() -> int:
     parser.add_argument("--particles", type=int, default=50)
     parser.add_argument("--generations", type=int, default=6)
     parser.add_argument("--bins", type=int, default=20)
-    parser.add_argument("--loop", choices=("auto", "open", "closed"), default="auto", help="as of ./tcbi infer")
+    parser.add_argument("--loop", choices=LOOPS, default="", help="as of ./tcbi infer (default: the method's)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="of the methods that have such a setting"
     )

@@ -13,7 +13,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
 DRAWS = 300
-TECHNICAL = ("with fewer than", "the same in every sample", "closed loop", "resumed")  # notes that few readers need
+TECHNICAL = "with fewer than", "the same in every sample", "open loop", "closed loop", "resumed"  # notes that few need
 MADE = {"diagnosis": "fitted", "inference": "inferred", "remove": "effect taken out", "prior": "nothing fitted"}
 
 

@@ -113,8 +113,9 @@ def run_inference(job: Job, emit: Emit) -> None:
     model = store.load(job.model, measurements[0].rig)
     method = find_method(job.method)
     problem = Problem.of(
-        model, measurements, statistics=method.statistics, policies=store.root, threads=job.threads, seed=job.seed
-    )
+        model, measurements, statistics=method.statistics, loop=method.loop, policies=store.root, threads=job.threads,
+        seed=job.seed,
+    )  # fmt: skip
 
     told = 0  # generations
 

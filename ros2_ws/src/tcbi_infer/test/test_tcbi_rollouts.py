@@ -182,3 +182,10 @@ def test_beside_a_policy_at_hand_one_that_is_not_is_replayed_and_that_is_said() 
     assert len(find_controllers([*trained, *gaits], "closed", None)[0]) == 2
     mixed, apart = simulated([*trained, *lost]), simulated(trained) | simulated(lost)
     assert all(np.array_equal(mixed[i], apart[i]) for i in apart)
+
+
+def test_commands_are_replayed_unless_it_is_the_published_method() -> None:
+    trained = hexapod_rollouts("balance")
+    assert not Problem.of(base_model("hexapod"), trained).closed_loop
+    acting = {name for name, method in METHODS.items() if find_controllers(trained, method.loop, None)[0]}
+    assert acting == {"paper"}

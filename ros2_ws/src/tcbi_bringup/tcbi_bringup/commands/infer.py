@@ -64,10 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--loop",
-        choices=("auto", "open", "closed"),
-        default="auto",
-        help="closed: the policy acts on the simulated robot; open: the recorded commands are replayed; "
-        "auto (default): closed where the policy can be loaded",
+        choices=("open", "closed", "auto"),
+        help="open (default): the recorded commands are replayed; closed: the policy acts on the simulated robot; "
+        "auto (default of --method paper): closed for trained policies that can be loaded",
     )
     parser.add_argument(
         "--prior",
@@ -132,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
         measurements,
         statistics=_statistics(args.statistics or "", method.statistics),
         divergence_name=args.divergence,
-        loop=args.loop,
+        loop=args.loop or method.loop,
         prior=args.prior,
         policies=store.root,
         timestep=args.timestep,

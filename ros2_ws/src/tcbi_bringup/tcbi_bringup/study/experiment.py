@@ -152,8 +152,8 @@ class Experiment:
         self._needed("truth", "collect", task, robot)
         rollouts = read_measurements([self._rollouts_of(task, robot)])
         problem = Problem.of(
-            model, rollouts, statistics=contestant.statistics or method.statistics, policies=self.store.root,
-            timestep=TIMESTEP_S, threads=self.threads, seed=robot,
+            model, rollouts, statistics=contestant.statistics or method.statistics, loop=method.loop,
+            policies=self.store.root, timestep=TIMESTEP_S, threads=self.threads, seed=robot,
         )  # fmt: skip
         runs = self.store.folder("runs")
         try:

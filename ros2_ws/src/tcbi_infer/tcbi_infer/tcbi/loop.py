@@ -1,4 +1,8 @@
-"""Who acts in a simulated rollout: the policy that ran (closed loop), or the recorded commands (open loop)."""
+"""Who acts in a simulated rollout: the recorded commands (open loop), or the policy that ran (closed loop).
+
+What a policy commands depends on the robot through what it sees alone. So with the readings at hand the commands that
+it gave tell nothing more of the parameters, and a policy that acts anew only adds the scatter of its own reactions.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,21 +12,26 @@ from tcbi_policy.errors import PolicyError
 from tcbi_sim.engine import Controller
 from tcbi_sim.measurement import Measurement
 
+OPEN, CLOSED, AUTO = LOOPS = ("open", "closed", "auto")
+
 
 def find_controllers(
     measurements: Sequence[Measurement], loop: str, policies: Path | None
 ) -> tuple[dict[str, Controller], str]:
     """Policy id -> controller of the policies that act, and a line that says which, and why others do not.
 
-    Unless the loop is given, scripted gaits and policies that cannot be loaded are replayed by their commands.
+    Args:
+      measurements: the real rollouts.
+      loop: `OPEN`; `CLOSED`; or `AUTO`, closed but for scripted gaits and policies that cannot be loaded.
+      policies: the store's root.
 
     Raises:
       PolicyError: closed loop is asked for, and a policy cannot be loaded.
     """
     ids = sorted({m.policy_id for m in measurements})
-    if loop == "open":
+    if loop == OPEN:
         return {}, "open loop: the recorded commands are replayed"
-    gaits = [i for i in ids if i.startswith(GAIT_PREFIX)] if loop == "auto" else []
+    gaits = [i for i in ids if i.startswith(GAIT_PREFIX)] if loop == AUTO else []
     found: dict[str, Controller] = {}
     faults: list[str] = []
     for policy_id in ids:
@@ -31,7 +40,7 @@ def find_controllers(
         try:
             found[policy_id] = _load(policy_id, policies)
         except PolicyError as e:
-            if loop == "closed":
+            if loop == CLOSED:
                 raise PolicyError(f"closed loop: {e}") from e  # the rollouts name it, not the user
             faults.append(str(e))
     return found, _said(list(found), gaits, faults)

@@ -23,7 +23,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, channels_of, divergences, samples
-from tcbi_infer.tcbi.loop import find_controllers
+from tcbi_infer.tcbi.loop import OPEN, find_controllers
 from tcbi_infer.tcbi.pooled import JS, pooled_divergence
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
 from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noise_kept, noisier, sample_rate, sensor_noise
@@ -72,7 +72,7 @@ class Problem:
         *,
         statistics: tuple[str, ...] = CALIBRATED,
         divergence_name: str = JS,
-        loop: str = "auto",
+        loop: str = OPEN,
         prior: str = FLAT,
         policies: Path | None = None,
         timestep: float | None = None,
@@ -87,7 +87,7 @@ class Problem:
           measurements: the real rollouts.
           statistics: by name; those that the rollouts lack are left out with a warning.
           divergence_name: of `tcbi_infer.divergence`, used by TCBI in both modes.
-          loop: "open", "closed", or "auto".
+          loop: as of `find_controllers`.
           prior: "flat" within the parameters' bounds, or "model" to go on from what the model's particles say; these
             rollouts must be new then, since data must not count twice.
           policies: the store's root, where policies are looked for.
