@@ -13,7 +13,7 @@ from functools import cache
 
 from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
-from tcbi_infer.statistics.base import RolloutArrays, Statistic, from_measurements, padded_commands
+from tcbi_infer.statistics.base import RolloutArrays, Statistic, averaged, from_measurements, padded_commands
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.user_file import told
 
@@ -25,6 +25,7 @@ __all__ = [
     "PAPER",
     "RolloutArrays",
     "Statistic",
+    "averaged",
     "failing",
     "from_measurements",
     "library",

@@ -5,8 +5,9 @@ difference between its results can only come from the physics.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -77,6 +78,45 @@ class RolloutArrays:
         share = np.where(inside, share, np.nan)[None, :, :, None]
         rollout = np.arange(time.shape[0])[:, None]
         return values[:, rollout, left] * (1 - share) + values[:, rollout, left + 1] * share
+
+
+def averaged(arrays: RolloutArrays, signals: Sequence[str], count: int) -> RolloutArrays:
+    """The same with some signals as the mean over `count` neighbouring samples, half of them on either side.
+
+    At the ends, and beside samples that are missing, it is over as many as there are; a missing one stays missing.
+
+    Args:
+      arrays: measured or simulated.
+      signals: fields of (N, S, T, ...); those that were not measured stay so.
+      count: odd.
+    """
+    present = {name: getattr(arrays, name) for name in signals if getattr(arrays, name) is not None}
+    found: dict[str, Any] = {
+        name: _moving_mean(_one_sign(values) if name == "attitude" else values, count // 2)
+        for name, values in present.items()
+    }
+    if "attitude" in found:
+        found["attitude"] = found["attitude"] / np.linalg.norm(found["attitude"], axis=-1, keepdims=True)
+    return replace(arrays, **found)
+
+
+def _one_sign(attitude: np.ndarray) -> np.ndarray:
+    """(N, S, T, 4) quaternions, of which each and its negative mean the same, without jumps from one to the other."""
+    along = np.sum(attitude[:, :, 1:] * attitude[:, :, :-1], axis=-1)
+    sign = np.cumprod(np.where(along < 0, -1.0, 1.0), axis=-1)
+    return np.concatenate([attitude[:, :, :1], attitude[:, :, 1:] * sign[..., None]], axis=2)
+
+
+def _moving_mean(values: np.ndarray, reach: int) -> np.ndarray:
+    """(N, S, T, D) over so many samples on either side."""
+    known = np.isfinite(values)
+    total, count = np.zeros_like(values), np.zeros(values.shape, int)
+    length = values.shape[2]
+    for shift in range(-reach, reach + 1):
+        here, there = slice(max(0, -shift), length - max(0, shift)), slice(max(0, shift), length + min(0, shift))
+        total[:, :, here] += np.where(known, values, 0.0)[:, :, there]
+        count[:, :, here] += known[:, :, there]
+    return np.where(known, total / np.maximum(count, 1), np.nan)
 
 
 def nothing_more(arrays: RolloutArrays) -> str:

@@ -3,8 +3,7 @@
     problem = Problem.of(model, measurements)
     features = problem.simulate(unit)      # (N, P) in [0, 1] -> Features
 
-Closed loop (the policy acts on the simulated robot) for rollouts of each policy that can be loaded, open loop (the
-recorded commands are replayed, stamps included) for those of others and of scripted gaits, which do not react.
+The recorded commands are replayed, stamps included, unless the policies that gave them are to act (`loop`).
 """
 
 import dataclasses
@@ -21,12 +20,24 @@ from tcbi_contract.errors import describe
 from tcbi_infer.divergence import BINS, Binning, divergence, measured
 from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
-from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, select
+from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, averaged, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, channels_of, divergences, samples
 from tcbi_infer.tcbi.loop import OPEN, find_controllers
 from tcbi_infer.tcbi.pooled import JS, pooled_divergence
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
-from tcbi_infer.tcbi.rollouts import Group, blocks_for, checked, grouped, noise_kept, noisier, sample_rate, sensor_noise
+from tcbi_infer.tcbi.rollouts import (
+    AVERAGE_S,
+    Group,
+    blocks_for,
+    checked,
+    grouped,
+    noise_kept,
+    noisier,
+    roughened,
+    sample_rate,
+    samples_of,
+    sensor_noise,
+)
 from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
 from tcbi_sim.measurement import Measurement, progress, quaternion_from_rpy
 from tcbi_sim.model import Model
@@ -63,6 +74,7 @@ class Problem:
     divergence_name: str = JS
     warnings: tuple[str, ...] = field(default_factory=tuple)
     prior: Prior | None = None  # None: flat
+    rough: tuple[str, ...] = ()  # signals so noisy that they are averaged over `AVERAGE_S`, simulated ones alike
 
     @classmethod
     def of(
@@ -112,7 +124,13 @@ class Problem:
         known, warnings = Prior.of(model) if prior == MODEL else None, [*warnings, *about(model, prior)]
         controllers, said = find_controllers(usable, loop, policies)
         rate = sample_rate(model, usable, closed_loop=bool(controllers))
-        groups = grouped(usable, rate, acting=controllers)
+        nominal = load_rig(model.rig).noise
+        noise = sensor_noise(usable, nominal)
+        rough = roughened(noise, nominal)
+        groups = [
+            dataclasses.replace(g, arrays=averaged(g.arrays, rough, samples_of(AVERAGE_S, rate)))
+            for g in grouped(usable, rate, acting=controllers)
+        ]
         kept, left_out = _common(statistics, groups)
         parts = [[samples(statistic, g.arrays) for statistic in kept] for g in groups]
         names, owner, pooled = _channels(kept, groups, parts)
@@ -134,15 +152,13 @@ class Problem:
             tuple(names[i] for i in used),
             pooled_divergence(divergence_name, binnings, counts),
         )
-        nominal = load_rig(model.rig).noise
-        noise = sensor_noise(usable, nominal)
         return cls(
             model, tuple(groups), tuple(controllers.get(g.measurements[0].policy_id) for g in groups), kept, observed,
             binnings, tuple(pooled[i] for i in used), blocks, noise,
             timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
             (*warnings, said, *left_out,
              *_silent(names, used), *_constant(names, used, pooled), *_crowded(observed), *noisier(noise, nominal)),
-            known,
+            known, rough,
         )  # fmt: skip
 
     @property
@@ -219,7 +235,8 @@ class Problem:
                 threads=self.threads,
             )
             valid &= ~rollouts.diverged.any(axis=1)
-            groups.append(with_noise(as_arrays(rollouts, group, controller is not None), self.readings_noise, rngs))
+            read = with_noise(as_arrays(rollouts, group, controller is not None), self.readings_noise, rngs)
+            groups.append(averaged(read, self.rough, samples_of(AVERAGE_S, self.rate)))
         return groups, valid
 
 

@@ -25,6 +25,8 @@ MOST_SILENT = 0.05  # of a rollout
 WHITE = -0.5  # autocorrelation of third differences, below which noise is white enough to be noise
 SENSED = ("attitude", "angular_velocity", "contact")  # that a statistic is made of, and a rollout may lack
 SIGNALS = ("joint_position", *SENSED, "linear_acceleration", "position")
+STATE = {"joint_position": ("joint angles", "rad"), "attitude": ("attitudes", "rad"), "position": ("positions", "m")}
+AVERAGE_S = 0.1  # that noisy signals are averaged over: half a control period, commands change no faster
 STRAY = 0.2  # share of the rollouts, up to which those that differ from the others are named
 
 
@@ -272,19 +274,23 @@ def _encoder_step(joints: Sequence[np.ndarray], step: float) -> float:
     return step if moves.size and np.median(np.abs(moves - np.rint(moves))) < 0.01 else 0.0
 
 
+def roughened(noise: Noise, nominal: Noise) -> tuple[str, ...]:
+    """Signals that are much noisier than the rig's sensors are, as fields of `Noise` and `RolloutArrays`."""
+    return tuple(name for name in STATE if getattr(noise, name) > getattr(nominal, name))
+
+
 def noisier(noise: Noise, nominal: Noise) -> list[str]:
-    """A line for each reading that is much noisier than the rig's sensors are."""
-    readings = (
-        ("joint angles", noise.joint_position, nominal.joint_position, "rad"),
-        ("attitudes", noise.attitude, nominal.attitude, "rad"),
-        ("positions", noise.position, nominal.position, "m"),
-    )
+    """A line for each of them."""
     return [
-        f"{name} are recorded with a noise of {seen:.2g} {unit} where the rig has {sd:.2g}; "
-        "simulated readings get as much"
-        for name, seen, sd, unit in readings
-        if seen > sd
+        f"{STATE[name][0]} are recorded with a noise of {getattr(noise, name):.2g} {STATE[name][1]} where the rig has "
+        f"{getattr(nominal, name):.2g}; simulated readings get as much, and both are averaged over {AVERAGE_S} s"
+        for name in roughened(noise, nominal)
     ]
+
+
+def samples_of(duration: float, rate: float) -> int:
+    """How many samples at a rate (Hz) a mean over a duration (s) takes: an odd number."""
+    return 2 * round((duration * rate - 1) / 2) + 1 if duration * rate > 1 else 1
 
 
 def _are(names: Sequence[str]) -> str:
