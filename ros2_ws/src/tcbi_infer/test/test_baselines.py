@@ -154,6 +154,15 @@ def test_simopt_ends_at_table_2s_threshold() -> None:
     assert state.converged and state.discrepancy < 0.06
 
 
+@pytest.mark.parametrize(("left", "narrows"), [(2, False), (50, True)])
+def test_simopts_gaussian_keeps_its_width_where_nearly_all_diverged(left: int, narrows: bool) -> None:
+    def few(unit: np.ndarray) -> Trajectories:
+        return simulated(unit)._replace(valid=np.arange(len(unit)) < left)
+
+    state = simopt.step(np.random.default_rng(0), simopt.begin(1, REAL), few, simopt.SimOptSettings())
+    assert (state.covariance[0, 0] < 0.9) == narrows
+
+
 @pytest.mark.slow
 def test_the_neural_posterior_is_the_exact_one_of_a_normal_problem() -> None:
     """z ~ N(0, 1), summary = z + 0.5 noise, 0.8 observed: mean 0.64, variance 0.2."""

@@ -84,7 +84,8 @@ def step(
     share = normalised(-cost / temperature)  # equation 7
     mean = share @ z
     centred = z - mean
-    covariance = (centred * share[:, None]).T @ centred + RIDGE * np.eye(p)
+    fitted = (centred * share[:, None]).T @ centred + RIDGE * np.eye(p)
+    covariance = fitted if len(z) > 2 * p else state.covariance  # where nearly all diverged, the rest tell no spread
     discrepancy = float(share @ cost)
     return SimOptState(
         state.generation + 1,
