@@ -105,7 +105,7 @@ def title(case: dict[str, Any]) -> str:
     words.append(f"{case['particles']} x {case['generations']}")
     words += [f"noise {case['noise']:g}"] if case["noise"] else []
     words += [f"{case['bins']} bins"] if case["bins"] != 20 else []
-    words += [f"loop {case['loop']}"] if case["loop"] else []
+    words += [f"loop {case['loop']}"] if case.get("loop") else []
     words += [f"{name}={value:g}" for name, value in case["settings"]]
     return f"{', '.join(words)}: {case['method']}"
 

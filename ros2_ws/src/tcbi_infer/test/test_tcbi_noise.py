@@ -7,12 +7,24 @@ import pytest
 from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
 
 from tcbi_infer.statistics import averaged, from_measurements
-from tcbi_infer.tcbi.problem import Problem, with_noise
-from tcbi_infer.tcbi.rollouts import AVERAGE_S, noisier, samples_of, sensor_noise
+from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.rollouts import AVERAGE_S, noisier, sensor_noise
+from tcbi_infer.tcbi.simulated import with_noise
+from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import base_model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import add_noise
+
+SIGMA = 0.05  # rad
+
+
+def with_joint_noise(measurements: list[Measurement], sigma: float) -> list[Measurement]:
+    rng = np.random.default_rng(0)
+    return [
+        dataclasses.replace(m, joint_position=m.joint_position + sigma * rng.standard_normal(m.joint_position.shape))
+        for m in measurements
+    ]
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.05, 0.2])
@@ -86,36 +98,27 @@ def test_simulated_readings_get_the_noise_that_is_left_of_the_recordings_between
 
 def test_recordings_noisier_than_the_rig_get_simulated_readings_as_noisy_and_that_is_said() -> None:
     model, measurements = bench_rollouts()
-    rng, sigma = np.random.default_rng(0), 0.05
-    noisy = [
-        dataclasses.replace(m, joint_position=m.joint_position + sigma * rng.standard_normal(m.joint_position.shape))
-        for m in measurements
-    ]
-    assert Problem.of(model, noisy, timestep=0.01).noise.joint_position == pytest.approx(sigma, rel=0.05)
+    noisy = with_joint_noise(measurements, SIGMA)
+    assert Problem.of(model, noisy, timestep=0.01).noise.joint_position == pytest.approx(SIGMA, rel=0.05)
     (line,) = (line for line in Problem.of(model, noisy, timestep=0.01).warnings if "recorded with a noise of" in line)
     assert line.endswith("simulated readings get as much, and both are averaged over 0.1 s")
     quiet = Problem.of(model, measurements, timestep=0.01)
     assert quiet.noise.joint_position <= 3 * load_rig("servo_bench").noise.joint_position
-    assert not any("recorded with a noise" in line for line in quiet.warnings) and quiet.rough == ()
+    assert not any("recorded with a noise" in line for line in quiet.warnings) and quiet.noisy == ()
 
 
 def test_noisy_recordings_and_their_simulations_are_averaged_alike() -> None:
     model, measurements = bench_rollouts()
-    rng, sigma = np.random.default_rng(0), 0.05
-    noisy = [
-        dataclasses.replace(m, joint_position=m.joint_position + sigma * rng.standard_normal(m.joint_position.shape))
-        for m in measurements
-    ]
+    noisy = with_joint_noise(measurements, SIGMA)
     problem, quiet = (Problem.of(model, ms, timestep=0.01) for ms in (noisy, measurements))
-    assert problem.rough == ("joint_position",)
-    five = sigma / np.sqrt(samples_of(AVERAGE_S, problem.rate))
+    assert problem.noisy == ("joint_position",)
     for seen, still in (
         (problem.groups[0].arrays, quiet.groups[0].arrays),
         (problem.rollouts(np.array([BENCH_TRUTH]))[0][0], quiet.rollouts(np.array([BENCH_TRUTH]))[0][0]),
     ):
-        smooth = averaged(still, ("joint_position",), samples_of(AVERAGE_S, problem.rate))
+        smooth = averaged(still, ("joint_position",), AVERAGE_S)
         left = (seen.joint_position - smooth.joint_position)[:, :, 3:-3].std()
-        assert left == pytest.approx(five, rel=0.15)
+        assert left == pytest.approx(SIGMA / np.sqrt(5), rel=0.15)  # 0.1 s at 50 Hz
 
 
 def test_a_mean_over_neighbours_keeps_rotations_and_what_is_missing() -> None:
@@ -126,12 +129,11 @@ def test_a_mean_over_neighbours_keeps_rotations_and_what_is_missing() -> None:
     flipped[:, :, 20:] *= -1
     gap = arrays.joint_position.copy()
     gap[:, :, 10] = np.nan
-    plain = averaged(arrays, ("joint_position", "attitude"), 5)
-    found = averaged(
-        dataclasses.replace(arrays, attitude=flipped, joint_position=gap), ("joint_position", "attitude"), 5
-    )
+    both = ("joint_position", "attitude")
+    plain = averaged(arrays, both, AVERAGE_S)
+    found = averaged(dataclasses.replace(arrays, attitude=flipped, joint_position=gap), both, AVERAGE_S)
     assert np.allclose(found.roll_pitch, plain.roll_pitch) and np.allclose(np.linalg.norm(found.attitude, axis=-1), 1.0)
     assert np.isnan(found.joint_position[:, :, 10]).all() and np.isfinite(np.delete(found.joint_position, 10, 2)).all()
     mean = sum(arrays.joint_position[:, :, k : k + 46] for k in range(5)) / 5
     assert np.allclose(plain.joint_position[:, :, 2:-2], mean)
-    assert averaged(arrays, ("attitude",), 1).joint_position is arrays.joint_position
+    assert np.array_equal(averaged(arrays, both, 0.02).joint_position, arrays.joint_position), "of one sample each"

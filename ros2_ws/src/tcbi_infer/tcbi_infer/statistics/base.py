@@ -80,19 +80,20 @@ class RolloutArrays:
         return values[:, rollout, left] * (1 - share) + values[:, rollout, left + 1] * share
 
 
-def averaged(arrays: RolloutArrays, signals: Sequence[str], count: int) -> RolloutArrays:
-    """The same with some signals as the mean over `count` neighbouring samples, half of them on either side.
+def averaged(arrays: RolloutArrays, signals: Sequence[str], duration: float) -> RolloutArrays:
+    """The same with some signals as the mean over neighbouring samples, as many on either side.
 
     At the ends, and beside samples that are missing, it is over as many as there are; a missing one stays missing.
 
     Args:
       arrays: measured or simulated.
       signals: fields of (N, S, T, ...); those that were not measured stay so.
-      count: odd.
+      duration: s that the samples of a mean stand for; one that is not much more than a sample's leaves all as it is.
     """
+    reach = max(0, round((duration / (arrays.time[1] - arrays.time[0]) - 1) / 2))
     present = {name: getattr(arrays, name) for name in signals if getattr(arrays, name) is not None}
     found: dict[str, Any] = {
-        name: _moving_mean(_one_sign(values) if name == "attitude" else values, count // 2)
+        name: _moving_mean(_one_sign(values) if name == "attitude" else values, reach)
         for name, values in present.items()
     }
     if "attitude" in found:

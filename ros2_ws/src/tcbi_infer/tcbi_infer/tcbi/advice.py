@@ -20,7 +20,7 @@ from tcbi_infer.diagnose.motions import STILL, Motion, gait_motion, ready_motion
 from tcbi_infer.statistics import RolloutArrays, Statistic, failing, from_measurements
 from tcbi_infer.tcbi.features import samples
 from tcbi_infer.tcbi.prior import Prior
-from tcbi_infer.tcbi.problem import Problem, with_noise
+from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, LEAST_ESS, Result
 from tcbi_policy.gaits import GAITS
 from tcbi_policy.reward import inclination
@@ -170,7 +170,7 @@ def statistics_of(
         return np.zeros(0, int), np.zeros((0, 0))
     kept = np.flatnonzero(upright & ~out.diverged[:, 0])
     recorded = [replace(out.measurement(n), commands=motion.commands) for n in kept.tolist()]
-    arrays = with_noise(from_measurements(recorded, recorded[0].time), problem.readings_noise, [rng])
+    arrays = problem.read(from_measurements(recorded, recorded[0].time), [rng])
     columns = []
     for statistic in problem.statistics:
         with failing(statistic):

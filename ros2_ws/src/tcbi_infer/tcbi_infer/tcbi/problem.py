@@ -33,17 +33,16 @@ from tcbi_infer.tcbi.rollouts import (
     grouped,
     noise_kept,
     noisier,
-    roughened,
+    noisy_signals,
     sample_rate,
-    samples_of,
     sensor_noise,
 )
-from tcbi_sim.engine import Controller, SimulatedRollouts, simulate
-from tcbi_sim.measurement import Measurement, progress, quaternion_from_rpy
+from tcbi_infer.tcbi.simulated import as_arrays, with_noise
+from tcbi_sim.engine import Controller, simulate
+from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
-from tcbi_sim.sensing import multiply
 from tcbi_sim.workers import chunk_size, present
 
 # of a channel: with fewer the histogram of a right model may lie 6 to 11 times as far off as their scatter suggests (a
@@ -74,7 +73,7 @@ class Problem:
     divergence_name: str = JS
     warnings: tuple[str, ...] = field(default_factory=tuple)
     prior: Prior | None = None  # None: flat
-    rough: tuple[str, ...] = ()  # signals so noisy that they are averaged over `AVERAGE_S`, simulated ones alike
+    noisy: tuple[str, ...] = ()  # signals that are averaged over `AVERAGE_S`, recorded and simulated alike
 
     @classmethod
     def of(
@@ -126,9 +125,9 @@ class Problem:
         rate = sample_rate(model, usable, closed_loop=bool(controllers))
         nominal = load_rig(model.rig).noise
         noise = sensor_noise(usable, nominal)
-        rough = roughened(noise, nominal)
+        noisy = noisy_signals(noise, nominal)
         groups = [
-            dataclasses.replace(g, arrays=averaged(g.arrays, rough, samples_of(AVERAGE_S, rate)))
+            dataclasses.replace(g, arrays=averaged(g.arrays, noisy, AVERAGE_S))
             for g in grouped(usable, rate, acting=controllers)
         ]
         kept, left_out = _common(statistics, groups)
@@ -158,7 +157,7 @@ class Problem:
             timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
             (*warnings, said, *left_out,
              *_silent(names, used), *_constant(names, used, pooled), *_crowded(observed), *noisier(noise, nominal)),
-            known, rough,
+            known, noisy,
         )  # fmt: skip
 
     @property
@@ -235,9 +234,12 @@ class Problem:
                 threads=self.threads,
             )
             valid &= ~rollouts.diverged.any(axis=1)
-            read = with_noise(as_arrays(rollouts, group, controller is not None), self.readings_noise, rngs)
-            groups.append(averaged(read, self.rough, samples_of(AVERAGE_S, self.rate)))
+            groups.append(self.read(as_arrays(rollouts, group, controller is not None), rngs))
         return groups, valid
+
+    def read(self, simulated: RolloutArrays, rngs: Sequence[np.random.Generator]) -> RolloutArrays:
+        """Simulated rollouts as the robot's are read: with noise, each particle's of its own, and averaged alike."""
+        return averaged(with_noise(simulated, self.readings_noise, rngs), self.noisy, AVERAGE_S)
 
 
 def _seen(problem: Problem, view: "View", unit: np.ndarray) -> Any:
@@ -281,63 +283,6 @@ def _binned(problem: Problem, rollouts: list[RolloutArrays]) -> tuple[list[list[
     used = [names.index(name) for name in problem.observed.channels]
     counts = _counts(parts, [arrays.count for arrays in rollouts], used, list(problem.binnings), problem.blocks)
     return parts, used, counts
-
-
-def as_arrays(rollouts: SimulatedRollouts, group: Group, closed: bool) -> RolloutArrays:
-    """Simulated rollouts on the grid of the group's real ones, with the commands that they were given."""
-    n, length, real = len(rollouts.joint_position), len(group.time), group.arrays
-    time, target = real.command_time, np.broadcast_to(real.command_target, (n, *real.command_target.shape[1:]))
-    if closed:
-        target = rollouts.commands_given
-        time = np.broadcast_to(rollouts.command_time, target.shape[1:3])
-
-    def cut(values: np.ndarray | None, measured: np.ndarray | None) -> np.ndarray | None:
-        return None if values is None or measured is None else values[:, :, :length]
-
-    return dataclasses.replace(
-        real,
-        joint_position=rollouts.joint_position[:, :, :length],
-        command_time=time,
-        command_target=target,
-        attitude=cut(rollouts.attitude, real.attitude),
-        angular_velocity=cut(rollouts.angular_velocity, real.angular_velocity),
-        contact=cut(rollouts.contact, real.contact),
-        position=cut(rollouts.position, real.position),
-        distance=_distance(rollouts, real, length),
-    )
-
-
-def _distance(rollouts: SimulatedRollouts, real: RolloutArrays, length: int) -> np.ndarray | None:
-    """(N, S) m where the real rollouts have one."""
-    if rollouts.position is None or real.distance is None:
-        return None
-    heading = np.array([scenario.initial_yaw for scenario in real.scenarios])
-    return np.where(np.isnan(real.distance), np.nan, progress(rollouts.position[:, :, :length], heading)[..., -1])
-
-
-def with_noise(arrays: RolloutArrays, noise: Noise, rngs: Sequence[np.random.Generator]) -> RolloutArrays:
-    """Simulated readings with the sensors' white noise and encoder steps, each particle from its own generator."""
-
-    def noisy(values: np.ndarray | None, sd: float) -> np.ndarray | None:
-        if values is None or sd == 0:
-            return values
-        return values + sd * np.stack([rng.standard_normal(values.shape[1:]) for rng in rngs])
-
-    joints = noisy(arrays.joint_position, noise.joint_position)
-    assert joints is not None
-    if noise.encoder_step > 0:
-        joints = np.round(joints / noise.encoder_step) * noise.encoder_step
-    attitude = arrays.attitude
-    if attitude is not None and noise.attitude > 0:
-        roll, pitch = noise.attitude * np.stack(
-            [rng.standard_normal((2, *attitude.shape[1:3])) for rng in rngs], axis=1
-        )
-        attitude = multiply(attitude, quaternion_from_rpy(roll, pitch, np.zeros_like(roll)))
-    rates = noisy(arrays.angular_velocity, noise.angular_velocity)
-    position = noisy(arrays.position, noise.position)
-    return dataclasses.replace(
-        arrays, joint_position=joints, attitude=attitude, angular_velocity=rates, position=position
-    )
 
 
 def _common(names: tuple[str, ...], groups: list[Group]) -> tuple[tuple[Statistic, ...], tuple[str, ...]]:

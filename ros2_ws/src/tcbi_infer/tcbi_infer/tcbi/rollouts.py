@@ -274,8 +274,8 @@ def _encoder_step(joints: Sequence[np.ndarray], step: float) -> float:
     return step if moves.size and np.median(np.abs(moves - np.rint(moves))) < 0.01 else 0.0
 
 
-def roughened(noise: Noise, nominal: Noise) -> tuple[str, ...]:
-    """Signals that are much noisier than the rig's sensors are, as fields of `Noise` and `RolloutArrays`."""
+def noisy_signals(noise: Noise, nominal: Noise) -> tuple[str, ...]:
+    """Signals that are much noisier than the rig's sensors, as fields of `Noise` and `RolloutArrays`."""
     return tuple(name for name in STATE if getattr(noise, name) > getattr(nominal, name))
 
 
@@ -284,13 +284,8 @@ def noisier(noise: Noise, nominal: Noise) -> list[str]:
     return [
         f"{STATE[name][0]} are recorded with a noise of {getattr(noise, name):.2g} {STATE[name][1]} where the rig has "
         f"{getattr(nominal, name):.2g}; simulated readings get as much, and both are averaged over {AVERAGE_S} s"
-        for name in roughened(noise, nominal)
+        for name in noisy_signals(noise, nominal)
     ]
-
-
-def samples_of(duration: float, rate: float) -> int:
-    """How many samples at a rate (Hz) a mean over a duration (s) takes: an odd number."""
-    return 2 * round((duration * rate - 1) / 2) + 1 if duration * rate > 1 else 1
 
 
 def _are(names: Sequence[str]) -> str:
