@@ -118,7 +118,7 @@ def test_noisy_recordings_and_their_simulations_are_averaged_alike() -> None:
     ):
         smooth = averaged(still, ("joint_position",), AVERAGE_S)
         left = (seen.joint_position - smooth.joint_position)[:, :, 3:-3].std()
-        assert left == pytest.approx(SIGMA / np.sqrt(5), rel=0.15)  # 0.1 s at 50 Hz
+        assert left == pytest.approx(SIGMA / 3, rel=0.15), "nine samples of 100 Hz"
 
 
 def test_a_mean_over_neighbours_keeps_rotations_and_what_is_missing() -> None:
