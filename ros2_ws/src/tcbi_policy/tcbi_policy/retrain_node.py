@@ -164,6 +164,9 @@ class RetrainNode(Node):
                 "mean return": f"{mean_return:.0f}",
                 "remaining (s)": "not known yet" if known is None else f"{remaining_s:.0f}",
             }
+        elif event["event"] == "comparing":
+            self._state = {"state": "comparing", "rival": event["rival"], "held-out rollouts": str(event["pairs"])}
+            self.get_logger().info(f"trained; comparing with {event['rival']} on {event['pairs']} held-out rollouts")
         elif event["event"] in ("resumed", "restarted"):
             self.get_logger().warning(f"training {event['event']}: {event.get('reason', 'from its last checkpoint')}")
 

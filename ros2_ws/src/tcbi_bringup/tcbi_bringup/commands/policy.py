@@ -144,5 +144,6 @@ def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any
     model = console.load_model(store, args.model or LATEST)
     check_rig(policy.policy_id, model)
     rollouts, seed = args.rollouts or ROLLOUTS, SEED if args.seed is None else args.seed
-    found = evaluate(policy, model, draw_conditions(model, task, rollouts, seed)).summary()
+    with console.progress(f"measuring {policy.policy_id} on {rollouts} rollouts of {task}"):
+        found = evaluate(policy, model, draw_conditions(model, task, rollouts, seed)).summary()
     return {"task": task, "model": model.version, "rollouts": rollouts, "seed": seed, **found}
