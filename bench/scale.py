@@ -22,7 +22,7 @@ from scale_model import Case, run
 from tcbi_bringup.commands.bench import figure
 from tcbi_infer.tcbi import calibrated
 from tcbi_infer.tcbi.features import Features
-from tcbi_infer.tcbi.loop import AUTO
+from tcbi_infer.tcbi.loop import ACTING
 from tcbi_infer.tcbi.problem import Problem, _seen, task_features
 from tcbi_policy.artefact import find_policy
 from tcbi_sim import ray_workers
@@ -44,7 +44,7 @@ def problem(model: Model, rollouts: int, duration: float, policy: str = "gait:st
     scenarios = [Scenario("forward", duration, initial_yaw=0.1 * k, seed=k) for k in range(rollouts)]
     out = simulate(model, model.mean()[None], scenarios, controller=actor, timestep=step)
     measured = [out.measurement(0, s, f"rollout_{s}", actor.policy_id) for s in range(rollouts)]
-    return Problem.of(model, measured, loop=AUTO, timestep=step)
+    return Problem.of(model, measured, loop=ACTING, timestep=step)
 
 
 def processor_seconds() -> float:

@@ -241,12 +241,12 @@ def test_with_the_papers_budget_the_papers_accuracy_is_asked_for(bench) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("source", "loop"), [("model", ""), ("robot", ""), ("robot", "auto")])
+@pytest.mark.parametrize(("source", "loop"), [("model", ""), ("robot", ""), ("robot", "acting")])
 def test_an_inference_of_a_known_truth_is_judged(bench, source: str, loop: str) -> None:
     small = bench["jobs"].Case(source, "forward", 0, "rejection", 0.02, 4, 1.0, 10, 1, 20, (), loop)
     found = json.loads(json.dumps(bench["jobs"].run(small)))
     assert [p["name"] for p in found["parameters"]] == ["friction", "mass", "gain"]
-    assert found["closed_loop"] == (loop == "auto") and found["simulations"] == 40
+    assert found["closed_loop"] == (loop == "acting") and found["simulations"] == 40
     assert all(p["low90"] <= p["high90"] and 0 <= p["rank"] <= 1 for p in found["parameters"])
 
 

@@ -5,7 +5,7 @@
 ./tcbi python bench/calibration --source robot --methods all --truths 0:20 --keep runs.jsonl
 ./tcbi python bench/calibration --methods paper@50x15,calibrated@50x3 --truths 0:20 --keep budgets.jsonl
 ./tcbi python bench/calibration --noise 0,0.02,0.04,0.08 --methods calibrated --truths 0:20 --keep noise.jsonl
-./tcbi python bench/calibration --methods calibrated,simopt --loop auto --truths 0:20 --keep policies_act.jsonl
+./tcbi python bench/calibration --methods calibrated,simopt --loop open --truths 0:20 --keep replayed.jsonl
 ./tcbi python bench/calibration --figures runs.jsonl            # of what was kept; nothing is run
 
 A truth is recorded. Source `model`: drawn from the prior, simulated with finer steps and sensor noise. Source `robot`:

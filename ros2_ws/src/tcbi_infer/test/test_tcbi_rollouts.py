@@ -141,7 +141,7 @@ def test_without_its_policy_the_commands_are_replayed_and_that_is_said(bench) ->
     assert controllers == {} and said.startswith("open loop: the recorded commands are replayed, since")
 
 
-def simulated(measurements: list[Measurement], loop: str = "auto") -> dict[str, np.ndarray]:
+def simulated(measurements: list[Measurement], loop: str = "acting") -> dict[str, np.ndarray]:
     """Rollout -> (2, T, J) joint angles and commands of two robots without noise."""
     problem = dataclasses.replace(
         Problem.of(base_model("hexapod"), measurements, loop=loop, timestep=0.01), noise=Noise(0.0)
@@ -173,7 +173,7 @@ def test_beside_a_policy_at_hand_one_that_is_not_is_replayed_and_that_is_said() 
         for m in trained
     ]
     gaits = hexapod_rollouts("gait:steps")
-    controllers, said = find_controllers([*trained, *lost, *gaits], "auto", None)
+    controllers, said = find_controllers([*trained, *lost, *gaits], "acting", None)
     assert list(controllers) == [trained[0].policy_id]
     assert said.startswith(f"closed loop: {trained[0].policy_id} act on the simulated robot; for the other rollouts")
     assert "since scripted gaits do not react and a policy cannot be loaded" in said and "'lost'" in said
@@ -184,8 +184,30 @@ def test_beside_a_policy_at_hand_one_that_is_not_is_replayed_and_that_is_said() 
     assert all(np.array_equal(mixed[i], apart[i]) for i in apart)
 
 
-def test_commands_are_replayed_unless_it_is_the_published_method() -> None:
-    trained = hexapod_rollouts("balance")
-    assert not Problem.of(base_model("hexapod"), trained).closed_loop
-    acting = {name for name, method in METHODS.items() if find_controllers(trained, method.loop, None)[0]}
-    assert acting == {"paper"}
+def test_walks_are_replayed_unless_it_is_the_published_method() -> None:
+    balancing = hexapod_rollouts("balance")
+    walking = [
+        dataclasses.replace(m, scenario=dataclasses.replace(m.scenario, task="forward"))
+        for m in hexapod_rollouts("forward")
+    ]
+
+    def acting(measurements: list[Measurement]) -> set[str]:
+        return {name for name, method in METHODS.items() if find_controllers(measurements, method.loop, None)[0]}
+
+    assert acting(balancing) == set(METHODS)
+    assert acting(walking) == {"paper"}
+    controllers, said = find_controllers([*balancing, *walking], "auto", None)
+    assert list(controllers) == [balancing[0].policy_id]
+    assert said.endswith("replayed, since task forward counts distance")
+
+
+def test_noisy_readings_are_replayed() -> None:
+    trained, rng = hexapod_rollouts("balance"), np.random.default_rng(0)
+    assert Problem.of(base_model("hexapod"), trained).closed_loop
+    noisy = [
+        dataclasses.replace(m, joint_position=m.joint_position + 0.05 * rng.standard_normal(m.joint_position.shape))
+        for m in trained
+    ]
+    problem = Problem.of(base_model("hexapod"), noisy)
+    assert not problem.closed_loop
+    assert any("replayed, since readings are noisy" in line for line in problem.warnings)

@@ -64,9 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--loop",
-        choices=("open", "closed", "auto"),
-        help="open (default): the recorded commands are replayed; closed: the policy acts on the simulated robot; "
-        "auto (default of --method paper): closed for trained policies that can be loaded",
+        choices=("auto", "open", "acting", "closed"),
+        help="open: the recorded commands are replayed; closed: the policies act on the simulated robot; acting "
+        "(default of --method paper): trained policies at hand act; auto (default): as acting, but walks and noisy "
+        "readings are replayed",
     )
     parser.add_argument(
         "--prior",

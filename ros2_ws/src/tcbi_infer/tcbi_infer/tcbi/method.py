@@ -16,7 +16,7 @@ from tcbi_infer.baselines.trajectory import Trajectories
 from tcbi_infer.statistics import CALIBRATED, PAPER
 from tcbi_infer.tcbi import calibrated, paper
 from tcbi_infer.tcbi.features import Features, Observed
-from tcbi_infer.tcbi.loop import AUTO, OPEN
+from tcbi_infer.tcbi.loop import ACTING, AUTO
 from tcbi_infer.tcbi.problem import Problem, View, histogram_features, task_features
 from tcbi_infer.tcbi.weights import effective_sample_size, normalised
 from tcbi_sim.errors import UnknownNameError
@@ -60,7 +60,7 @@ class Method:
     judges: bool = False  # whether its width says what the data tell, so that parameters can be called identified
     any_divergence: bool = False  # whether it looks at divergences at all
     by_task: bool = True  # whether it looks at the task's statistics, and not at trajectories
-    loop: str = OPEN  # by default: who acts in its simulations
+    loop: str = AUTO  # by default: who acts in its simulations
     check: Callable[[], None] = nothing  # raises where something is not installed
 
 
@@ -156,7 +156,7 @@ _ALL = (
         simulations=_each_generation,
         caveat="the paper's method narrows with every generation: judge it by error and coverage, not by its width",
         any_divergence=True,
-        loop=AUTO,
+        loop=ACTING,
     ),
     Method(
         name="prior",

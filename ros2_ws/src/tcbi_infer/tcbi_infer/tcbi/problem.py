@@ -22,7 +22,7 @@ from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, averaged, select
 from tcbi_infer.tcbi.features import Features, Observed, binned, channels_of, divergences, samples
-from tcbi_infer.tcbi.loop import OPEN, find_controllers
+from tcbi_infer.tcbi.loop import AUTO, find_controllers
 from tcbi_infer.tcbi.pooled import JS, pooled_divergence
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
 from tcbi_infer.tcbi.rollouts import (
@@ -83,7 +83,7 @@ class Problem:
         *,
         statistics: tuple[str, ...] = CALIBRATED,
         divergence_name: str = JS,
-        loop: str = OPEN,
+        loop: str = AUTO,
         prior: str = FLAT,
         policies: Path | None = None,
         timestep: float | None = None,
@@ -121,11 +121,11 @@ class Problem:
                 "count twice; leave them out, or take the flat prior"
             )
         known, warnings = Prior.of(model) if prior == MODEL else None, [*warnings, *about(model, prior)]
-        controllers, said = find_controllers(usable, loop, policies)
-        rate = sample_rate(model, usable, closed_loop=bool(controllers))
         nominal = load_rig(model.rig).noise
         noise = sensor_noise(usable, nominal)
         noisy = noisy_signals(noise, nominal)
+        controllers, said = find_controllers(usable, loop, policies, noisy)
+        rate = sample_rate(model, usable, closed_loop=bool(controllers))
         groups = [
             dataclasses.replace(g, arrays=averaged(g.arrays, noisy, AVERAGE_S))
             for g in grouped(usable, rate, acting=controllers)
