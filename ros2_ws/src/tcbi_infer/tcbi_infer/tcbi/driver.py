@@ -25,7 +25,7 @@ from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.pooled import JS
-from tcbi_infer.tcbi.predictive import departures, drawn
+from tcbi_infer.tcbi.predictive import Departures, departures
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import (
     Result,
@@ -301,10 +301,9 @@ class _Loop:
         last = self._last_generation()
         before = self._generation_before()
         with _simulating():
-            departed = departures(problem, unit, log_weights) if self.method.judges else {}
-        looked = len(drawn(problem, log_weights)) if self.method.judges else 0
+            seen = departures(problem, unit, log_weights) if self.method.judges else Departures({}, 0)
         wrong, fits, distrust = goodness_of_fit(
-            model.parameters, unit, log_weights, self.statistics, last, before, self.known, departed
+            model.parameters, unit, log_weights, self.statistics, last, before, self.known, seen.ratios
         )
         history = list(self.history)
         if distrust > 1 and self.method.distrusted is not None:
@@ -316,7 +315,7 @@ class _Loop:
             lines.append(f"the posterior has {several}; a mean and an interval do not show that, the report does")
         judged = self.method.judges and fits is True
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
-        simulated = (self.method.simulations(self.state, self.settings) + looked) * len(problem.rollout_ids)
+        simulated = (self.method.simulations(self.state, self.settings) + seen.particles) * len(problem.rollout_ids)
         seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,

@@ -1,10 +1,11 @@
-"""Does the robot move as any of the posterior's draws does? What histograms cannot see: the order of events in time.
+"""Does the robot move as the model does with any parameters? What histograms cannot see: the order of events in time.
 
 A servo that answers late, or slowly because its torque is limited, leaves nearly the histogram of a softer one. So the
-recorded commands are replayed with draws of the posterior, and joints and attitude are followed through time. If the
-robot were one more draw, the nearest prediction would lie about as far from it as from the other draws. This is a
-posterior predictive check (Gelman, Meng and Stern 1996) by nearest neighbours: a wide posterior does not hide a shape
-that none of its draws has.
+recorded commands are replayed with draws of the posterior, and joints and attitude are followed through time. The
+mixture of draws that comes nearest to the robot (an affine one, whose weights a ridge holds back) says which parameters
+would move most like it. More draws are simulated close to these. If the robot were one more of them, the nearest
+mixture would miss it by as much as it misses any of them that is left out. This is a posterior predictive check
+(Gelman, Meng and Stern 1996) that a wide posterior does not blunt: close to the best parameters draws differ by little.
 """
 
 from collections.abc import Iterable
@@ -17,7 +18,18 @@ from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.weights import normalised, resample
 
 DRAWS = 48  # of the posterior: about a generation's simulations
-LEAST_DRAWS = 8  # different ones, of which less is no measure of how far apart they lie
+LEAST_DRAWS = 8  # of which less is no measure of how far apart they lie
+CLOSE_DRAWS = 8  # about the best mixture, for each parameter
+CLOSE = 0.06  # their standard deviation, in shares of a parameter's range
+RIDGE = 0.1  # of the draws' mean variance: holds weights back that would follow noise
+JOINTS, TILTS = "joint positions", "roll and pitch"
+
+
+class Departures(NamedTuple):
+    """What the check found, and what it cost."""
+
+    ratios: dict[str, float]  # of each signal that was measured; empty if too few simulations ended well
+    particles: int  # simulated for it
 
 
 class _Traces(NamedTuple):
@@ -36,14 +48,14 @@ class _Traces(NamedTuple):
             np.concatenate([self.valid, other.valid]),
         )  # fmt: skip
 
+    def products(self) -> dict[str, np.ndarray]:
+        """(V, V) for each signal: inner products of what V valid simulations differ from the robot."""
+        signals = {JOINTS: self.joint_position, TILTS: self.roll_pitch}
+        return {name: _products(groups, self.valid) for name, groups in signals.items() if groups}
 
-def drawn(problem: Problem, log_weights: np.ndarray) -> np.ndarray:
-    """(N,) the particles of (M,) log-weights that are simulated for it, each once."""
-    return np.unique(resample(np.random.default_rng(problem.seed), normalised(log_weights), DRAWS))
 
-
-def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> dict[str, float]:
-    """How many times as far from the nearest prediction as predictions from each other the robot's signals lie.
+def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> Departures:
+    """How many times as much as each other's motion the nearest mixture of predictions misses the robot's.
 
     Args:
       problem: the real rollouts; their policies do not act here, so that a deviation stays where it arises.
@@ -51,14 +63,22 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> d
       log_weights: (M,).
 
     Returns:
-      For each signal that was measured the root mean square distance over rollouts, time and channels, over the median
-      of the draws': about 1 where nothing is wrong. Empty if fewer than `LEAST_DRAWS` simulations end well.
+      For each signal that was measured what the mixture misses (root mean square over rollouts, time and channels),
+      over the median of what it misses of each draw when that one is left out: about 1 where nothing is wrong.
     """
-    traces: _Traces = problem.open_loop.simulate(unit[drawn(problem, log_weights)], view=_traces)
-    if traces.valid.sum() < LEAST_DRAWS:
-        return {}
-    signals = {"joint positions": traces.joint_position, "roll and pitch": traces.roll_pitch}
-    return {name: _departure(groups, traces.valid) for name, groups in signals.items() if groups}
+    rng, replayed = np.random.default_rng(problem.seed), problem.open_loop
+    draws = unit[np.unique(resample(rng, normalised(log_weights), DRAWS))]
+    found: _Traces = replayed.simulate(draws, view=_traces)
+    if found.valid.sum() < LEAST_DRAWS:
+        return Departures({}, len(draws))
+    ended = draws[found.valid]
+    best = (_mixture(found.products()[JOINTS]) @ ended).clip(ended.min(axis=0), ended.max(axis=0))
+    close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
+    near: _Traces = replayed.simulate(close, view=_traces)
+    simulated = len(draws) + len(close)
+    if near.valid.sum() < LEAST_DRAWS:
+        return Departures({}, simulated)
+    return Departures({name: _departure(products) for name, products in near.products().items()}, simulated)
 
 
 def _traces(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> _Traces:
@@ -74,17 +94,42 @@ def _apart(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, 
     return tuple((simulated - real).astype(np.float32) for simulated, real in pairs)
 
 
-def _departure(groups: tuple[np.ndarray, ...], valid: np.ndarray) -> float:
-    """Of (N, S, T, C) differences from the robot in each group, for (N,) bool simulations; 1 where all are equal."""
+def _products(groups: tuple[np.ndarray, ...], valid: np.ndarray) -> np.ndarray:
+    """(V, V) of (N, S, T, C) differences in each group, for (N,) bool simulations, V of them valid."""
     count = int(valid.sum())
-    among, apart = np.zeros((count, count)), np.zeros(count)  # squared distances of the draws, and from the robot
+    found = np.zeros((count, count))
     for group in groups:
         for rollout in np.moveaxis(group[valid], 1, 0):
             flat = rollout.reshape(count, -1).astype(float)
             flat = flat[:, np.isfinite(flat).all(axis=0)]
-            own = (flat**2).sum(axis=1)
-            apart += own
-            among += own[:, None] + own - 2 * flat @ flat.T
-    np.fill_diagonal(among, np.inf)
-    nearest = float(np.median(np.sqrt(np.maximum(among.min(axis=1), 0.0))))
-    return float(np.sqrt(np.min(apart))) / nearest if nearest > 0 else 1.0
+            found += flat @ flat.T
+    return found
+
+
+def _mixture(products: np.ndarray, ridge: float | None = None) -> np.ndarray:
+    """(V,) weights of sum 1 with which differences of these (V, V) inner products nearly cancel."""
+    held = products + (_ridge(products) if ridge is None else ridge) * np.eye(len(products))
+    weights = np.linalg.solve(held, np.ones(len(products)))
+    return weights / weights.sum()
+
+
+def _ridge(products: np.ndarray) -> float:
+    """A share of the draws' mean variance; never nothing, so that equal draws weigh alike."""
+    return RIDGE * float(np.trace(products) / len(products) - products.mean()) + np.finfo(float).tiny
+
+
+def _departure(products: np.ndarray) -> float:
+    """Of (V, V) inner products of the differences from the robot; 1 where all draws are equal."""
+    ridge = _ridge(products)
+
+    def missed(of: np.ndarray) -> float:
+        weights = _mixture(of, ridge)
+        return float(np.sqrt(max(weights @ of @ weights, 0.0)))
+
+    def without(i: int) -> np.ndarray:
+        """Inner products of the others' differences from draw i."""
+        seen = products - products[i] - products[:, i, None] + products[i, i]
+        return np.delete(np.delete(seen, i, axis=0), i, axis=1)
+
+    others = float(np.median([missed(without(i)) for i in range(len(products))]))
+    return missed(products) / others if others > 0 else 1.0

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from tcbi_infer.tcbi.method import Generation
+from tcbi_infer.tcbi.predictive import JOINTS, TILTS
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, quantiles, resample
 from tcbi_sim.model import Model
 from tcbi_sim.parameter import Parameter
@@ -20,7 +21,10 @@ EDGE = 0.02  # share of the range that counts as a bound
 PILED = 0.5  # share of the posterior at a bound that is worth a line
 MISFIT = 4.0  # remaining divergence over noise, in the mean of a statistic's channels, that is worth a warning
 MISFIT_OF_ONE = 6.0  # the same of a single channel
-DEPARTED = 3.0  # times as far from the nearest prediction as predictions from each other: the same
+DEPARTED = {
+    JOINTS: 2.0,
+    TILTS: 4.0,
+}  # times as much as each other's, that predictions miss the robot's motion: the same
 NEAR = 0.05  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
 UNLIKELY = 0.05  # share of a prior that is not flat, beyond which they lie where that prior may be in the way
 POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
@@ -225,7 +229,7 @@ def goodness_of_fit(
     ]
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
-    far = {name: ratio for name, ratio in (departed or {}).items() if ratio > DEPARTED}
+    far = {name: ratio for name, ratio in (departed or {}).items() if ratio > DEPARTED[name]}
     lines = bounds if poor.keys() - falling else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
@@ -238,11 +242,13 @@ def goodness_of_fit(
         return GoodnessOfFit([UNTOLD.format(", ".join(untold))], None, 1.0)
     distrust = worst_misfit(last) if lines else 1.0
     lines += [
-        f"no parameters reproduce {name} in time: the robot lies {ratio:.1f} times as far from the posterior's nearest "
-        f"prediction as its predictions lie from each other; {WIDENED}"
+        f"no parameters reproduce {name} in time: predictions with the best of them miss the robot's by {ratio:.1f} "
+        f"times as much as each other's; {WIDENED}"
         for name, ratio in far.items()
     ]
-    return GoodnessOfFit(lines, not lines, max([1.0, distrust, *(ratio**2 for ratio in far.values())]))
+    return GoodnessOfFit(
+        lines, not lines, max([1.0, distrust, *((ratio / DEPARTED[name]) ** 2 for name, ratio in far.items())])
+    )
 
 
 def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> dict[str, str]:
