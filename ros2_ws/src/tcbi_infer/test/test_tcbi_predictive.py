@@ -24,15 +24,15 @@ def around(unit: tuple[float, ...], spread: float, count: int = 48) -> np.ndarra
 def test_a_motion_like_the_draws_is_missed_as_they_are_and_a_late_one_by_more(spread: float) -> None:
     draws, equal = around(BENCH_TRUTH, spread), np.zeros(48)
     nothing = [Problem.of(BENCH, bench_rollouts(seed=seed)[1]) for seed in range(3)]
-    assert np.median([departures(p, draws, equal).ratios[JOINTS] for p in nothing]) < 1.5
+    assert np.median([departures(p, draws, equal).signals[JOINTS].missed for p in nothing]) < 1.5
     late = bench_rollouts((*BENCH_TRUTH, 0.6), effects=("command_latency",))[1]
-    assert departures(Problem.of(BENCH, late), draws, equal).ratios[JOINTS] > DEPARTED[JOINTS]
+    assert departures(Problem.of(BENCH, late), draws, equal).signals[JOINTS].missed > DEPARTED[JOINTS]
 
 
 def test_a_robot_with_an_attitude_is_followed_in_it_too_and_few_draws_say_nothing() -> None:
     robot = Problem.of(base_model("hexapod"), hexapod_rollouts("balance"), timestep=0.01)
     draws = around((0.5, 0.5, 0.5), 0.1, count=12)
-    assert set(departures(robot, draws, np.zeros(12)).ratios) == {JOINTS, TILTS}
+    assert set(departures(robot, draws, np.zeros(12)).signals) == {JOINTS, TILTS}
     assert departures(robot, draws, np.r_[0.0, np.full(11, -40.0)]) == ({}, 1)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tcbi_infer.tcbi.method import Generation
+from tcbi_infer.tcbi.predictive import JOINTS, Departure
 from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, estimates, goodness_of_fit, piled
 from tcbi_sim.parameter import Parameter
 
@@ -123,16 +124,19 @@ def test_one_channel_that_nothing_reproduces_is_said_though_its_statistic_fits_i
 
 
 def test_a_motion_that_no_draw_makes_is_no_fit_and_the_data_count_less_for_it() -> None:
-    def judged(ratio: float, misfit: float = 1.0, before: float = 1.0) -> tuple[list[str], bool | None, float]:
-        both = last(misfit), last(before)
-        return goodness_of_fit((GAP, MASS), INSIDE, EQUAL, ["x"], *both, None, {"joint positions": ratio})
+    def judged(
+        missed: float, apart: float = 4.0, misfit: float = 1.0, before: float = 1.0
+    ) -> tuple[list[str], bool | None, float]:
+        seen, both = {JOINTS: Departure(missed, apart)}, (last(misfit), last(before))
+        return goodness_of_fit((GAP, MASS), INSIDE, EQUAL, ["x"], *both, None, seen)
 
-    assert judged(2.9) == ([], True, 1.0)
-    (line,), fits, distrust = judged(4.0)
+    assert judged(1.9) == ([], True, 1.0)
+    assert judged(9.0, 0.9) == ([], True, 1.0), "what is missed hides in the posterior's width"
+    (line,), fits, distrust = judged(3.0)
     assert fits is False and distrust == 16.0
-    assert line.startswith("no parameters reproduce joint positions in time: the robot lies 4.0 times as far")
-    assert judged(4.0, 9.0, 9.1)[2] == 16.0 and judged(2.9, 9.0, 9.1)[2] == 9.0
-    assert judged(4.0, 9.0, 20.0)[1] is None, "a search that still finds better fits comes first"
+    assert line.startswith("no parameters reproduce joint positions in time: predictions with the best of them miss")
+    assert judged(3.0, 4.0, 9.0, 9.1)[2] == 16.0 and judged(1.9, 4.0, 9.0, 9.1)[2] == 9.0
+    assert judged(3.0, 4.0, 9.0, 20.0)[1] is None, "a search that still finds better fits comes first"
 
 
 @pytest.mark.parametrize("count", [10, 20])

@@ -303,7 +303,7 @@ class _Loop:
         with _simulating():
             seen = departures(problem, unit, log_weights) if self.method.judges else Departures({}, 0)
         wrong, fits, distrust = goodness_of_fit(
-            model.parameters, unit, log_weights, self.statistics, last, before, self.known, seen.ratios
+            model.parameters, unit, log_weights, self.statistics, last, before, self.known, seen.signals
         )
         history = list(self.history)
         if distrust > 1 and self.method.distrusted is not None:

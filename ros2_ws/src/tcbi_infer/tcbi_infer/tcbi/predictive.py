@@ -25,10 +25,17 @@ RIDGE = 0.1  # of the draws' mean variance: holds weights back that would follow
 JOINTS, TILTS = "joint positions", "roll and pitch"
 
 
+class Departure(NamedTuple):
+    """How far a robot's signal is from the model's; both are about 1 or less where nothing is wrong."""
+
+    missed: float  # by the nearest mixture of predictions, in times by how much they miss each other
+    apart: float  # from the posterior's nearest draw, in times how far the draws lie from each other
+
+
 class Departures(NamedTuple):
     """What the check found, and what it cost."""
 
-    ratios: dict[str, float]  # of each signal that was measured; empty if too few simulations ended well
+    signals: dict[str, Departure]  # that were measured; empty if too few simulations ended well
     particles: int  # simulated for it
 
 
@@ -55,7 +62,7 @@ class _Traces(NamedTuple):
 
 
 def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> Departures:
-    """How many times as much as each other's motion the nearest mixture of predictions misses the robot's.
+    """How much more than each other's motion the model's predictions miss the robot's.
 
     Args:
       problem: the real rollouts; their policies do not act here, so that a deviation stays where it arises.
@@ -63,22 +70,25 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
       log_weights: (M,).
 
     Returns:
-      For each signal that was measured what the mixture misses (root mean square over rollouts, time and channels),
-      over the median of what it misses of each draw when that one is left out: about 1 where nothing is wrong.
+      For each signal that was measured two ratios of root mean squares over rollouts, time and channels. What the
+      mixture of the close draws misses is over the median of what it misses of each draw that is left out. The
+      distance from the nearest draw of the posterior is over the median of the draws' from theirs: it says how much
+      what is missed matters beside the posterior's width.
     """
     rng, replayed = np.random.default_rng(problem.seed), problem.open_loop
     draws = unit[np.unique(resample(rng, normalised(log_weights), DRAWS))]
     found: _Traces = replayed.simulate(draws, view=_traces)
     if found.valid.sum() < LEAST_DRAWS:
         return Departures({}, len(draws))
-    ended = draws[found.valid]
-    best = (_mixture(found.products()[JOINTS]) @ ended).clip(ended.min(axis=0), ended.max(axis=0))
+    ended, wide = draws[found.valid], found.products()
+    best = (_mixture(wide[JOINTS]) @ ended).clip(ended.min(axis=0), ended.max(axis=0))
     close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
     near: _Traces = replayed.simulate(close, view=_traces)
     simulated = len(draws) + len(close)
     if near.valid.sum() < LEAST_DRAWS:
         return Departures({}, simulated)
-    return Departures({name: _departure(products) for name, products in near.products().items()}, simulated)
+    narrow = near.products()
+    return Departures({name: Departure(_missed(narrow[name]), _apart(wide[name])) for name in narrow}, simulated)
 
 
 def _traces(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> _Traces:
@@ -87,10 +97,10 @@ def _traces(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) 
     tilted = all(real.attitude is not None for _, real in pairs)
     joints = ((simulated.joint_position, real.joint_position) for simulated, real in pairs)
     tilts = ((simulated.roll_pitch, real.roll_pitch) for simulated, real in pairs if tilted)
-    return _Traces(_apart(joints), _apart(tilts), valid)
+    return _Traces(_differences(joints), _differences(tilts), valid)
 
 
-def _apart(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, ...]:
+def _differences(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, ...]:
     return tuple((simulated - real).astype(np.float32) for simulated, real in pairs)
 
 
@@ -118,11 +128,19 @@ def _ridge(products: np.ndarray) -> float:
     return RIDGE * float(np.trace(products) / len(products) - products.mean()) + np.finfo(float).tiny
 
 
-def _departure(products: np.ndarray) -> float:
+def _apart(products: np.ndarray) -> float:
+    """Of (V, V) inner products of the differences from the robot; 1 where all draws are equal."""
+    own = np.diag(products)
+    among = own[:, None] + own - 2 * products + np.diag(np.full(len(own), np.inf))
+    nearest = float(np.median(np.sqrt(np.maximum(among.min(axis=1), 0.0))))
+    return float(np.sqrt(own.min())) / nearest if nearest > 0 else 1.0
+
+
+def _missed(products: np.ndarray) -> float:
     """Of (V, V) inner products of the differences from the robot; 1 where all draws are equal."""
     ridge = _ridge(products)
 
-    def missed(of: np.ndarray) -> float:
+    def by_mixture(of: np.ndarray) -> float:
         weights = _mixture(of, ridge)
         return float(np.sqrt(max(weights @ of @ weights, 0.0)))
 
@@ -131,5 +149,5 @@ def _departure(products: np.ndarray) -> float:
         seen = products - products[i] - products[:, i, None] + products[i, i]
         return np.delete(np.delete(seen, i, axis=0), i, axis=1)
 
-    others = float(np.median([missed(without(i)) for i in range(len(products))]))
-    return missed(products) / others if others > 0 else 1.0
+    others = float(np.median([by_mixture(without(i)) for i in range(len(products))]))
+    return by_mixture(products) / others if others > 0 else 1.0

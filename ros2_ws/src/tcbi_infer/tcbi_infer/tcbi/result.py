@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from tcbi_infer.tcbi.method import Generation
-from tcbi_infer.tcbi.predictive import JOINTS, TILTS
+from tcbi_infer.tcbi.predictive import JOINTS, TILTS, Departure
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, quantiles, resample
 from tcbi_sim.model import Model
 from tcbi_sim.parameter import Parameter
@@ -203,7 +203,7 @@ def goodness_of_fit(
     last: Generation,
     before: Generation | None,
     prior: np.ndarray | None = None,
-    departed: Mapping[str, float] | None = None,
+    departed: Mapping[str, Departure] | None = None,
 ) -> GoodnessOfFit:
     """Whether the model fits, by what remains of its divergences and by its predictions.
 
@@ -215,7 +215,8 @@ def goodness_of_fit(
       last: generation.
       before: the generation before it, None if there was none.
       prior: (N, P) draws of it in [0, 1], None for flat.
-      departed: of `predictive.departures`.
+      departed: of `predictive.departures`. The model is wrong where it misses a signal by more than `DEPARTED`, and by
+        more than the posterior's width allows for; then the posterior widens until it does.
     """
     ratios, single = dict(zip(statistics, _misfit_ratios(last), strict=False)), last.notes.get("misfit", {})
     earlier = {} if before is None else dict(zip(statistics, _misfit_ratios(before), strict=False))
@@ -229,7 +230,7 @@ def goodness_of_fit(
     ]
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
-    far = {name: ratio for name, ratio in (departed or {}).items() if ratio > DEPARTED[name]}
+    far = {name: d for name, d in (departed or {}).items() if d.missed > DEPARTED[name] and d.apart > 1.0}
     lines = bounds if poor.keys() - falling else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
@@ -242,13 +243,11 @@ def goodness_of_fit(
         return GoodnessOfFit([UNTOLD.format(", ".join(untold))], None, 1.0)
     distrust = worst_misfit(last) if lines else 1.0
     lines += [
-        f"no parameters reproduce {name} in time: predictions with the best of them miss the robot's by {ratio:.1f} "
+        f"no parameters reproduce {name} in time: predictions with the best of them miss the robot's by {d.missed:.1f} "
         f"times as much as each other's; {WIDENED}"
-        for name, ratio in far.items()
+        for name, d in far.items()
     ]
-    return GoodnessOfFit(
-        lines, not lines, max([1.0, distrust, *((ratio / DEPARTED[name]) ** 2 for name, ratio in far.items())])
-    )
+    return GoodnessOfFit(lines, not lines, max([1.0, distrust, *(d.apart**2 for d in far.values())]))
 
 
 def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> dict[str, str]:
