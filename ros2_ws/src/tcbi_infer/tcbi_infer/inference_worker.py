@@ -122,7 +122,8 @@ def run_inference(job: Job, emit: Emit) -> None:
     def watch(progress: Progress) -> None:
         nonlocal told
         done = (progress.generation - 1 + progress.share) / progress.generations
-        emit("progress", stage=f"generation {progress.generation}", share=done, remaining_s=progress.remaining_s)
+        stage = "checking predictions" if progress.checking else f"generation {progress.generation}"
+        emit("progress", stage=stage, share=done, remaining_s=progress.remaining_s)
         if progress.generation - 1 > told and progress.share < 1:  # the last one's is the posterior itself
             told = progress.generation - 1
             emit("generation", **running(problem, job.method, told, progress))

@@ -70,3 +70,12 @@ def test_a_torque_limit_that_looks_like_a_soft_servo_is_no_fit_and_its_gain_is_n
 def test_without_it_the_model_fits_and_tells_the_gain(seed: int) -> None:
     found = infer(Problem.of(BENCH, bench_rollouts(seed=seed)[1]), seed=0)
     assert found.fits is True and found.estimates[0].identified
+
+
+@pytest.mark.parametrize("method", ["calibrated", "paper"])
+def test_who_watches_is_told_when_generations_are_over_and_predictions_are_checked(method: str) -> None:
+    told: list[driver.Progress] = []
+    infer(Problem.of(BENCH, bench_rollouts()[1], timestep=0.01), method, watch=told.append, particles=10, generations=2)
+    assert [p.checking for p in told] == [False] * (len(told) - (method == "calibrated")) + [True] * (
+        method == "calibrated"
+    )

@@ -58,6 +58,7 @@ class Progress(NamedTuple):
     ess: float  # after the last whole generation
     mean: np.ndarray  # (P,) physical, after the last whole generation
     sd: np.ndarray  # (P,)
+    checking: bool = False  # generations are done; their posterior is compared with the robot in time
 
 
 class Interrupted(InferError):
@@ -269,7 +270,7 @@ class _Loop:
         found = {"mean": mean, "variance": variance, "unit_mean": unit_mean, "variance_ratio": ratio}
         return {name: values.tolist() for name, values in found.items()}
 
-    def _tell(self, share: float) -> None:
+    def _tell(self, share: float, checking: bool = False) -> None:
         if self.watch is None:
             return
         nan = np.full(self.dimensions, np.nan)
@@ -287,6 +288,7 @@ class _Loop:
                 last["ess"],
                 np.asarray(last["mean"]),
                 np.sqrt(last["variance"]),
+                checking,
             )
         )
 
@@ -300,6 +302,8 @@ class _Loop:
         unit, log_weights = unit[kept], _log_shares(log_weights[kept])
         last = self._last_generation()
         before = self._generation_before()
+        if self.method.judges:
+            self._tell(1.0, checking=True)
         with _simulating():
             seen = departures(problem, unit, log_weights) if self.method.judges else Departures({}, 0)
         wrong, fits, distrust = goodness_of_fit(
