@@ -26,10 +26,11 @@ JOINTS, TILTS = "joint positions", "roll and pitch"
 
 
 class Departure(NamedTuple):
-    """How far a robot's signal is from the model's; both are about 1 or less where nothing is wrong."""
+    """How far a robot's signal is from the model's; `missed` and `apart` are about 1 or less where nothing is wrong."""
 
     missed: float  # by the nearest mixture of predictions, in times by how much they miss each other
     apart: float  # from the posterior's nearest draw, in times how far the draws lie from each other
+    error: float  # rad, root mean square of what that mixture misses
 
 
 class Departures(NamedTuple):
@@ -56,7 +57,7 @@ class _Traces(NamedTuple):
         )  # fmt: skip
 
     def products(self) -> dict[str, np.ndarray]:
-        """(V, V) for each signal: inner products of what V valid simulations differ from the robot."""
+        """(V, V) for each signal, rad^2: mean products of what V valid simulations differ from the robot."""
         signals = {JOINTS: self.joint_position, TILTS: self.roll_pitch}
         return {name: _products(groups, self.valid) for name, groups in signals.items() if groups}
 
@@ -70,7 +71,7 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
       log_weights: (M,).
 
     Returns:
-      For each signal that was measured two ratios of root mean squares over rollouts, time and channels. What the
+      For each signal that was measured ratios of root mean squares over rollouts, time and channels. What the
       mixture of the close draws misses is over the median of what it misses of each draw that is left out. The
       distance from the nearest draw of the posterior is over the median of the draws' from theirs: it says how much
       what is missed matters beside the posterior's width.
@@ -88,7 +89,7 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
     if near.valid.sum() < LEAST_DRAWS:
         return Departures({}, simulated)
     narrow = near.products()
-    return Departures({name: Departure(_missed(narrow[name]), _apart(wide[name])) for name in narrow}, simulated)
+    return Departures({name: _departure(narrow[name], wide[name]) for name in narrow}, simulated)
 
 
 def _traces(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> _Traces:
@@ -106,18 +107,19 @@ def _differences(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.nda
 
 def _products(groups: tuple[np.ndarray, ...], valid: np.ndarray) -> np.ndarray:
     """(V, V) of (N, S, T, C) differences in each group, for (N,) bool simulations, V of them valid."""
-    count = int(valid.sum())
+    count, samples = int(valid.sum()), 0
     found = np.zeros((count, count))
     for group in groups:
         for rollout in np.moveaxis(group[valid], 1, 0):
             flat = rollout.reshape(count, -1).astype(float)
             flat = flat[:, np.isfinite(flat).all(axis=0)]
             found += flat @ flat.T
-    return found
+            samples += flat.shape[1]
+    return found / max(samples, 1)
 
 
 def _mixture(products: np.ndarray, ridge: float | None = None) -> np.ndarray:
-    """(V,) weights of sum 1 with which differences of these (V, V) inner products nearly cancel."""
+    """(V,) weights of sum 1 with which differences of these (V, V) mean products nearly cancel."""
     held = products + (_ridge(products) if ridge is None else ridge) * np.eye(len(products))
     weights = np.linalg.solve(held, np.ones(len(products)))
     return weights / weights.sum()
@@ -129,25 +131,26 @@ def _ridge(products: np.ndarray) -> float:
 
 
 def _apart(products: np.ndarray) -> float:
-    """Of (V, V) inner products of the differences from the robot; 1 where all draws are equal."""
+    """Of (V, V) mean products of the differences from the robot; 1 where all draws are equal."""
     own = np.diag(products)
     among = own[:, None] + own - 2 * products + np.diag(np.full(len(own), np.inf))
     nearest = float(np.median(np.sqrt(np.maximum(among.min(axis=1), 0.0))))
     return float(np.sqrt(own.min())) / nearest if nearest > 0 else 1.0
 
 
-def _missed(products: np.ndarray) -> float:
-    """Of (V, V) inner products of the differences from the robot; 1 where all draws are equal."""
-    ridge = _ridge(products)
+def _departure(close: np.ndarray, wide: np.ndarray) -> Departure:
+    """Of (V, V) mean products of the differences from the robot, of the close draws and of the posterior's."""
+    ridge = _ridge(close)
 
-    def by_mixture(of: np.ndarray) -> float:
-        weights = _mixture(of, ridge)
-        return float(np.sqrt(max(weights @ of @ weights, 0.0)))
+    def missed(products: np.ndarray) -> float:
+        """Root mean square of what the nearest mixture of draws leaves of differences of these mean products."""
+        weights = _mixture(products, ridge)
+        return float(np.sqrt(max(weights @ products @ weights, 0.0)))
 
     def without(i: int) -> np.ndarray:
-        """Inner products of the others' differences from draw i."""
-        seen = products - products[i] - products[:, i, None] + products[i, i]
+        """Mean products of the others' differences from draw i."""
+        seen = close - close[i] - close[:, i, None] + close[i, i]
         return np.delete(np.delete(seen, i, axis=0), i, axis=1)
 
-    others = float(np.median([by_mixture(without(i)) for i in range(len(products))]))
-    return by_mixture(products) / others if others > 0 else 1.0
+    error, others = missed(close), float(np.median([missed(without(i)) for i in range(len(close))]))
+    return Departure(error / others if others > 0 else 1.0, _apart(wide), error)

@@ -243,8 +243,8 @@ def goodness_of_fit(
         return GoodnessOfFit([UNTOLD.format(", ".join(untold))], None, 1.0)
     distrust = worst_misfit(last) if lines else 1.0
     lines += [
-        f"no parameters reproduce {name} in time: predictions with the best of them miss the robot's by {d.missed:.1f} "
-        f"times as much as each other's; {WIDENED}"
+        f"no parameters reproduce {name} in time: predictions with the best of them miss the robot's by "
+        f"{d.error:.2g} rad, {d.missed:.1f} times as much as each other's; {WIDENED}"
         for name, d in far.items()
     ]
     return GoodnessOfFit(lines, not lines, max([1.0, distrust, *(d.apart**2 for d in far.values())]))
