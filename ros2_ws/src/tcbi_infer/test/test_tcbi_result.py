@@ -135,7 +135,7 @@ def test_a_motion_that_no_draw_makes_is_no_fit_and_the_data_count_less_for_it() 
     (line,), fits, distrust = judged(3.0)
     assert fits is False and distrust == 16.0
     assert line.startswith("no parameters reproduce joint positions in time: predictions with the best")
-    assert "miss the robot's by 0.012 rad, 3.0 times as much as each other's" in line
+    assert "miss the robot's by 0.7 deg, 3.0 times as much as each other's" in line
     assert judged(3.0, 4.0, 9.0, 9.1)[2] == 16.0 and judged(1.9, 4.0, 9.0, 9.1)[2] == 9.0
     assert judged(3.0, 4.0, 9.0, 20.0)[1] is None, "a search that still finds better fits comes first"
 

@@ -1,5 +1,6 @@
 """What an inference found: weighted particles, a table with a verdict per parameter, and what a user must know."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -244,7 +245,7 @@ def goodness_of_fit(
     distrust = worst_misfit(last) if lines else 1.0
     lines += [
         f"no parameters reproduce {name} in time: predictions with the best of them miss the robot's by "
-        f"{d.error:.2g} rad, {d.missed:.1f} times as much as each other's; {WIDENED}"
+        f"{math.degrees(d.error):.2g} deg, {d.missed:.1f} times as much as each other's; {WIDENED}"
         for name, d in far.items()
     ]
     return GoodnessOfFit(lines, not lines, max([1.0, distrust, *(d.apart**2 for d in far.values())]))
