@@ -125,13 +125,14 @@ def test_one_channel_that_nothing_reproduces_is_said_though_its_statistic_fits_i
 
 def test_a_motion_that_no_draw_makes_is_no_fit_and_the_data_count_less_for_it() -> None:
     def judged(
-        missed: float, apart: float = 4.0, misfit: float = 1.0, before: float = 1.0
+        missed: float, apart: float = 4.0, misfit: float = 1.0, before: float = 1.0, error: float = 0.0123
     ) -> tuple[list[str], bool | None, float]:
-        seen, both = {JOINTS: Departure(missed, apart, 0.0123)}, (last(misfit), last(before))
+        seen, both = {JOINTS: Departure(missed, apart, error)}, (last(misfit), last(before))
         return goodness_of_fit((GAP, MASS), INSIDE, EQUAL, ["x"], *both, None, seen)
 
     assert judged(1.9) == ([], True, 1.0)
     assert judged(9.0, 0.9) == ([], True, 1.0), "what is missed hides in the posterior's width"
+    assert judged(9.0, error=0.005) == ([], True, 1.0), "what is missed is less than encoders resolve"
     (line,), fits, distrust = judged(3.0)
     assert fits is False and distrust == 16.0
     assert line.startswith("no parameters reproduce joint positions in time: predictions with the best")

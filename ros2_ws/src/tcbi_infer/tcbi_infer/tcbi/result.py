@@ -22,10 +22,10 @@ EDGE = 0.02  # share of the range that counts as a bound
 PILED = 0.5  # share of the posterior at a bound that is worth a line
 MISFIT = 4.0  # remaining divergence over noise, in the mean of a statistic's channels, that is worth a warning
 MISFIT_OF_ONE = 6.0  # the same of a single channel
-DEPARTED = {
-    JOINTS: 2.0,
-    TILTS: 4.0,
-}  # times as much as each other's, that predictions miss the robot's motion: the same
+# times as much as each other's, that predictions miss the robot's motion: the same
+DEPARTED = {JOINTS: 2.0, TILTS: 4.0}
+# rad, below which what is missed is of no account, however much it stands out: what the encoders of small servos resolve
+NEGLIGIBLE = {JOINTS: 0.006, TILTS: 0.0045}
 NEAR = 0.05  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
 UNLIKELY = 0.05  # share of a prior that is not flat, beyond which they lie where that prior may be in the way
 POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
@@ -216,8 +216,8 @@ def goodness_of_fit(
       last: generation.
       before: the generation before it, None if there was none.
       prior: (N, P) draws of it in [0, 1], None for flat.
-      departed: of `predictive.departures`. The model is wrong where it misses a signal by more than `DEPARTED`, and by
-        more than the posterior's width allows for; then the posterior widens until it does.
+      departed: of `predictive.departures`. The model is wrong where it misses a signal by more than `DEPARTED` and
+        `NEGLIGIBLE`, and by more than the posterior's width allows for; then the posterior widens until it does.
     """
     ratios, single = dict(zip(statistics, _misfit_ratios(last), strict=False)), last.notes.get("misfit", {})
     earlier = {} if before is None else dict(zip(statistics, _misfit_ratios(before), strict=False))
@@ -231,7 +231,7 @@ def goodness_of_fit(
     ]
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
-    far = {name: d for name, d in (departed or {}).items() if d.missed > DEPARTED[name] and d.apart > 1.0}
+    far = {name: d for name, d in (departed or {}).items() if _is_far(name, d)}
     lines = bounds if poor.keys() - falling else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
@@ -249,6 +249,11 @@ def goodness_of_fit(
         for name, d in far.items()
     ]
     return GoodnessOfFit(lines, not lines, max([1.0, distrust, *(d.apart**2 for d in far.values())]))
+
+
+def _is_far(signal: str, departure: Departure) -> bool:
+    stands_out = departure.missed > DEPARTED[signal] and departure.apart > 1.0
+    return stands_out and departure.error > NEGLIGIBLE[signal]
 
 
 def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> dict[str, str]:
