@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -193,7 +194,9 @@ def test_the_page_draws_a_band_over_three_robots_and_each_robot_where_there_are_
         findings = inferred(tmp_path / str(robots), robots)
         rows = [r for r in tables.progress(findings, "balance") if r["parameter"] == "mass"]
         assert ("FillBetween" in generations(rows, "error", "axis")) == bands
-        page = write(findings, tmp_path / f"{robots}.html").read_text()
+        page = write(findings, tmp_path / str(robots) / "study.html").read_text()
+        drawn = tmp_path / str(robots) / "figures" / "balance_mass_error.svg"
+        assert ElementTree.parse(drawn).getroot().tag.endswith("svg"), "a file of its own, that a browser shows"
         assert "(mean − truth) / truth of mass" in page and "nan" not in page
         assert "What it took" in page and f"{3 * robots} of" in page
 

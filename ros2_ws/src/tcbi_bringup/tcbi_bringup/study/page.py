@@ -54,7 +54,7 @@ WIDTH = (
 
 
 def write(findings: Findings, path: Path) -> Path:
-    """Write the report; returns its path."""
+    """Write the report, and its figures to a folder beside it; returns the report's path."""
     report = Report("Does it transfer?", lead(findings.plan))
     data = tables.everything(findings)
     report.add(Section("In short", notes=[*_short(findings, data), *data["notes"]]))
@@ -64,6 +64,7 @@ def write(findings: Findings, path: Path) -> Path:
         if data["tasks"][task]["variance_reduction"]:
             _inference(report, findings, task, data["tasks"][task])
     _times(report, data)
+    report.write_figures(path.parent / "figures")
     return report.write(path)
 
 
@@ -142,13 +143,15 @@ def _performance(report: Report, findings: Findings, task: str, found: dict[str,
     ]
     spread = {r["label"]: np.concatenate(list(findings.values(task, r["name"], "divergence").values())) for r in rows}
     caption = f"Figure {9 if task == 'balance' else 10}: divergence with each policy"
-    shown = [Figure(boxes(spread, "divergence of rewards, robot to simulation / nats"), caption, True)]
+    drawn = boxes(spread, "divergence of rewards, robot to simulation / nats")
+    shown = [Figure(drawn, caption, True, f"{task}_divergence")]
     if found["noise"]:
         shown.append(
             Figure(
                 lines_of_noise(found["noise"]),
                 f"Figure {12 if task == 'balance' else 13}: {UNDER_NOISE}",
                 True,
+                f"{task}_noise",
             )
         )
     report.add(Section(f"{task}: who differs (Table 6)", text=[WELCH], table=Table(head, welch), figures=shown))
@@ -179,8 +182,9 @@ def _inference(report: Report, findings: Findings, task: str, found: dict[str, A
             ("error", f"(mean − truth) / truth of {parameter}", f"error of the mean of {parameter}, with its sign"),
             ("variance_ratio", f"variance of {parameter} / prior's", f"variance of {parameter}"),
         ):
-            shown.append(Figure(generations(mine, key, axis), f"Figure {number}: {what}, by generation. {BAND}"))
-    shown.append(Figure(bars_of_time(found["seconds"]), CAPTION_OF_TIME, True))
+            drawn, caption = generations(mine, key, axis), f"Figure {number}: {what}, by generation. {BAND}"
+            shown.append(Figure(drawn, caption, name=f"{task}_{parameter}_{key}"))
+    shown.append(Figure(bars_of_time(found["seconds"]), CAPTION_OF_TIME, True, f"{task}_seconds"))
     table = Table(head, rows, NONE_OF_FEW)
     report.add(Section(f"{task}: inference (Table 3)", text=[WIDTH], table=table, figures=shown))
 

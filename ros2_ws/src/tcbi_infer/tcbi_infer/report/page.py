@@ -23,11 +23,17 @@ from tcbi_infer.errors import InferError
 
 @dataclasses.dataclass(frozen=True)
 class Figure:
-    """An inline SVG with its caption; `wide` takes the full width of the page."""
+    """An inline SVG with its caption.
+
+    Attributes:
+      wide: it takes the full width of the page.
+      name: of a file of its own, without suffix; "" for none.
+    """
 
     svg: str
     caption: str
     wide: bool = False
+    name: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,6 +106,21 @@ class Report:
         except OSError as e:
             raise InferError(f"cannot write the report {path}: {e.strerror}; choose another place") from e
         return path
+
+    def write_figures(self, folder: Path) -> None:
+        """Write each figure that has a name as an SVG file, on white.
+
+        Raises:
+          InferError: the folder cannot be written.
+        """
+        named = [figure for section in self.sections for figure in section.figures if figure.name]
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for figure in named:
+                alone = figure.svg.replace("<svg", '<svg style="background:#fff;color:#222"', 1)
+                (folder / f"{figure.name}.svg").write_text(alone, encoding="utf-8")
+        except OSError as e:
+            raise InferError(f"cannot write figures to {folder}: {e.strerror}; choose another place") from e
 
 
 def file_name(kind: str, model: str, rollouts: Sequence[str] = ()) -> str:

@@ -24,7 +24,7 @@ MISFIT = 4.0  # remaining divergence over noise, in the mean of a statistic's ch
 MISFIT_OF_ONE = 6.0  # the same of a single channel
 # times as much as each other's, that predictions miss the robot's motion: the same
 DEPARTED = {JOINTS: 2.0, TILTS: 4.0}
-# rad, below which what is missed is of no account, however much it stands out: what the encoders of small servos resolve
+# rad: missing less is of no account, however much it stands out; about what the encoders of small servos resolve
 NEGLIGIBLE = {JOINTS: 0.006, TILTS: 0.0045}
 NEAR = 0.05  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
 UNLIKELY = 0.05  # share of a prior that is not flat, beyond which they lie where that prior may be in the way
