@@ -14,9 +14,10 @@ from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose import scatter as module
 from tcbi_infer.diagnose.adopt import adopt
 from tcbi_infer.diagnose.fit import Nuisance
-from tcbi_infer.diagnose.scatter import SCATTER, joint_gains, relinearised, slopes
+from tcbi_infer.diagnose.scatter import joint_gains, relinearised, slopes
 from tcbi_infer.diagnose.settings import QUICK
 from tcbi_sim.model import Model, base_model
+from tcbi_sim.scatter import SCATTER
 
 SIGNS = hadamard(32)[:, 1:19].astype(float)
 RNG = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Scatter between joints of one make, as linear nuisances: natural, so that no verdict may rest on it."""
+"""Scatter between servos of one make as linear nuisances."""
 
 import numpy as np
 from scipy.linalg import hadamard
@@ -7,8 +7,8 @@ from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import JOINT_GAINS
 from tcbi_sim.rigs import load_rig
+from tcbi_sim.scatter import SCATTER, with_scatter
 
-SCATTER = 0.03  # standard deviation of one servo's gain about its siblings', relative
 STEP = 2.0  # standard deviations, by which every gain is changed
 NEAR = 0.05  # of a base parameter's range: slopes taken so near are as good as new ones
 ROUNDS = 3  # of fits with slopes anew
@@ -22,21 +22,16 @@ def joint_scatter(problem: Problem, base: Fit, sets: np.ndarray, timestep: float
     simulations. Where feet stick and slip, predictions jump by more than one gain changes them: of one joint after the
     other the slopes were mostly these jumps.
     """
-    rig = load_rig(base.model.rig)
-    taken = {use.partition(":")[2] for use in base.model.effects if use.startswith("gain_scatter:")}
-    joints = [j for j in rig.joint_names if j not in taken]
-    if len(rig.joint_names) < 2 or rig.kind != "position":
+    model, joints = with_scatter(base.model)
+    if not joints:
         return Nuisance.none(problem)
-    model = base.model
-    for joint in joints:
-        model = model.with_effect(f"gain_scatter:{joint}")
     signs = hadamard(1 << len(joints).bit_length())[:, 1 : len(joints) + 1].astype(float)
     gains = 1.0 + STEP * SCATTER * signs
     vectors = np.concatenate([np.tile(base.parameters, (len(signs), 1)), gains], axis=1)
     predicted = problem.replay.predict(model, vectors, list(sets), timestep)
     effect = np.zeros((*problem.observed.shape, len(joints)))
     effect[sets] = slopes(signs, predicted) / STEP
-    return Nuisance(effect, tuple(joints), base.unit)
+    return Nuisance(effect, joints, base.unit)
 
 
 def relinearised(problem: Problem, fit: Fit, sets: np.ndarray, timestep: float) -> Fit:

@@ -15,8 +15,8 @@ import numpy as np
 
 from tcbi_infer.diagnose.fit import Fit, Fitter
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_infer.diagnose.scatter import SCATTER
 from tcbi_sim.model import Model
+from tcbi_sim.scatter import SCATTER
 from tcbi_sim.workers import Here, present
 
 SIZES = (0.1, 0.35)  # of the range on one side of the null value

@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 
 from tcbi_infer.diagnose.motions import Motion
-from tcbi_infer.diagnose.scatter import SCATTER
 from tcbi_infer.errors import InferError
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Measurement, Scenario
@@ -21,6 +20,7 @@ from tcbi_sim.model import Model
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
+from tcbi_sim.scatter import SCATTER, with_scatter
 from tcbi_sim.sensing import add_noise
 
 TIMESTEP = 0.0005  # s
@@ -51,16 +51,12 @@ class Robot:
             model.to_unit(model.sample(rng, 1)[0]) - model.to_unit(model.mean())
         )
         values = list(model.from_unit(base))
-        rig = load_rig(model.rig)
         if self.use:
             model = model.with_effect(self.use)
             values += [planted_value(p, self.strength) for p in model.parameters[len(values) :]]
-        if len(rig.joint_names) > 1 and rig.kind == "position":
-            for joint in rig.joint_names:
-                if f"gain_scatter:{joint}" not in model.effects:
-                    model = model.with_effect(f"gain_scatter:{joint}")
-                    values.append(float(np.clip(rng.normal(1.0, SCATTER), 1 - 3 * SCATTER, 1 + 3 * SCATTER)))
-        return model, np.array(values)
+        model, joints = with_scatter(model)
+        gains = rng.normal(1.0, SCATTER, len(joints)).clip(1 - 3 * SCATTER, 1 + 3 * SCATTER)
+        return model, np.array([*values, *gains])
 
     def planted(self, model: Model) -> dict[str, float]:
         """The effect's parameters in this robot, by qualified name."""

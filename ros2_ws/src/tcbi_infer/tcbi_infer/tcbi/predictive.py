@@ -3,11 +3,13 @@
 A servo that answers late, or slowly because its torque is limited, leaves nearly the histogram of a softer one. So the
 recorded commands are replayed with draws of the posterior, and joints and attitude are followed through time. The
 mixture of draws that comes nearest to the robot (an affine one, whose weights a ridge holds back) says which parameters
-would move most like it. More draws are simulated close to these. If the robot were one more of them, the nearest
+would move most like it. More draws are simulated close to these, whose servos differ from one another as servos of one
+make do. If the robot were one more of them, the nearest
 mixture would miss it by as much as it misses any of them that is left out. This is a posterior predictive check
 (Gelman, Meng and Stern 1996) that a wide posterior does not blunt: close to the best parameters draws differ by little.
 """
 
+import dataclasses
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -16,6 +18,7 @@ import numpy as np
 from tcbi_infer.statistics import RolloutArrays
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.weights import normalised, resample
+from tcbi_sim.scatter import SCATTER, with_scatter
 
 DRAWS = 48  # of the posterior: about a generation's simulations
 LEAST_DRAWS = 8  # of which less is no measure of how far apart they lie
@@ -84,12 +87,22 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
     ended, wide = draws[found.valid], found.products()
     best = (_mixture(wide[JOINTS]) @ ended).clip(ended.min(axis=0), ended.max(axis=0))
     close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
-    near: _Traces = replayed.simulate(close, view=_traces)
+    near: _Traces = _simulate_scattered(replayed, close, rng)
     simulated = len(draws) + len(close)
     if near.valid.sum() < LEAST_DRAWS:
         return Departures({}, simulated)
     narrow = near.products()
     return Departures({name: _departure(narrow[name], wide[name]) for name in narrow}, simulated)
+
+
+def _simulate_scattered(problem: Problem, unit: np.ndarray, rng: np.random.Generator) -> _Traces:
+    """Of (N, P) particles, each with servos that differ from one another as servos of one make do."""
+    model, joints = with_scatter(problem.model)
+    scales = rng.normal(1.0, SCATTER, (len(unit), len(joints)))
+    added = model.parameters[unit.shape[1] :]
+    own = [p.to_unit(scale) for p, scale in zip(added, scales.T, strict=True)]
+    found: _Traces = dataclasses.replace(problem, model=model).simulate(np.column_stack([unit, *own]), view=_traces)
+    return found
 
 
 def _traces(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> _Traces:
