@@ -4,9 +4,9 @@ A servo that answers late, or slowly because its torque is limited, leaves nearl
 recorded commands are replayed with draws of the posterior, and joints and attitude are followed through time. The
 mixture of draws that comes nearest to the robot (an affine one, whose weights a ridge holds back) says which parameters
 would move most like it. More draws are simulated close to these, whose servos differ from one another as servos of one
-make do. If the robot were one more of them, the nearest
-mixture would miss it by as much as it misses any of them that is left out. This is a posterior predictive check
-(Gelman, Meng and Stern 1996) that a wide posterior does not blunt: close to the best parameters draws differ by little.
+make do. If the robot were one more of them, the nearest mixture would miss it by as much as it misses any of them that
+is left out. This is a posterior predictive check (Gelman, Meng and Stern 1996) that a wide posterior does not blunt:
+close to the best parameters draws differ by little.
 """
 
 import dataclasses
