@@ -8,6 +8,7 @@ from tcbi_cases import bench_rollouts
 
 from tcbi_infer import posterior
 from tcbi_infer.errors import InferError
+from tcbi_infer.report.inference import told_by_data
 from tcbi_infer.seen import used_before
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import METHODS
@@ -166,6 +167,23 @@ def test_what_the_prior_knew_already_is_not_what_the_data_tell():
     against = estimates(parameters, unit, equal, prior=prior.draws())
     assert not any(e.identified for e in against)
     assert all(e.variance_ratio == pytest.approx(1.0, abs=0.25) for e in against)
+
+
+def test_a_parameter_that_is_not_told_says_what_stands_in_the_way():
+    """Nothing new beside a version's prior, nothing beside a flat one, or too few particles to be sure."""
+    method = METHODS["calibrated"]
+    parameters, equal = narrow().parameters, np.zeros(12)
+    problem = Problem.of(narrow(), rollouts(), prior=MODEL, timestep=0.01)
+    result = dataclasses.replace(infer(problem, "prior"), fits=True, ess=12.0)
+    unit = Prior.of(narrow()).unit(np.random.default_rng(4).random((12, 3)))
+    (e, *_) = estimates(parameters, unit, equal, prior=result.prior)
+    said = told_by_data(dataclasses.replace(e, variance_ratio=1.0), result, method)
+    assert said == f"little beyond {narrow().version}'s"
+    flat = dataclasses.replace(result, prior=None)
+    assert told_by_data(dataclasses.replace(e, variance_ratio=1.0), flat, method) == "no: little more than the prior"
+    unsure = dataclasses.replace(e, variance_ratio=0.4)
+    assert told_by_data(unsure, flat, method).startswith("not surely")
+    assert told_by_data(dataclasses.replace(unsure, identified=True), flat, method) == "yes"
 
 
 def test_variances_over_the_generations_are_compared_with_the_prior_that_was_used():

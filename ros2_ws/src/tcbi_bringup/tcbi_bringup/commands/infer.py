@@ -285,6 +285,9 @@ def _print(result: "Result", method: "Method", version: str) -> None:
     if method.judges and result.ess < LEAST_ESS:
         print(f"fewer than {LEAST_ESS} effective particles tell nothing; more particles or generations are needed")
     if method.judges and not any(e.identified for e in result.estimates):
-        print(f"nothing is told, and {version} is the newest version now; ./tcbi model {version} --delete undoes that")
+        nothing = "nothing" if result.prior is None else f"nothing beyond what {result.model.version} says"
+        print(
+            f"{nothing} is told, and {version} is the newest version now; ./tcbi model {version} --delete undoes that"
+        )
     if method.caveat:
         print(method.caveat)

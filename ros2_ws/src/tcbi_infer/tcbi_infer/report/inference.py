@@ -8,7 +8,7 @@ import numpy as np
 
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_infer.report.plots import BLUE, GREY, INK, ORANGE, STYLE, canvas, to_svg
-from tcbi_infer.tcbi.result import LEAST_ESS
+from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, LEAST_ESS
 
 if TYPE_CHECKING:
     from tcbi_infer.tcbi.advice import Advice
@@ -102,7 +102,11 @@ def told_by_data(estimate: "Estimate", result: "Result", method: "Method") -> st
         return "not told: the model fits poorly"
     if result.ess < LEAST_ESS:
         return "cannot say"
-    return "yes" if estimate.identified else "no: little more than the prior"
+    if estimate.identified:
+        return "yes"
+    if estimate.variance_ratio < IDENTIFIED_BELOW:
+        return "not surely: too few effective particles"
+    return "no: little more than the prior" if result.prior is None else f"little beyond {result.model.version}'s"
 
 
 def _beside(e: "Estimate", truth: Truth) -> list[Any]:
