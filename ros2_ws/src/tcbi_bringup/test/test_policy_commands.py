@@ -60,6 +60,16 @@ def test_tasks_are_listed_with_terms_and_units_those_of_ones_own_too(
     ]
 
 
+def test_a_task_is_shown_with_what_its_scenarios_are_like(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["tasks", "show", "forward", "--store", str(tmp_path), "--json"]) == 0
+    scenarios = {row["what"]: row for row in json.loads(capsys.readouterr().out)["scenarios"]}
+    assert 0.06 <= scenarios["height of a block"]["low"] < 0.061 and scenarios["height of a block"]["high"] > 0.079
+    assert "slope of the ground" not in scenarios, "what is always 0 is left out"
+    assert cli.main(["tasks", "show", "balance", "--store", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "slope of the ground" in said and "block" not in said and "- 600 /rad^2" in said
+
+
 def test_a_check_says_what_is_wrong_and_ends_with_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "wait.py"
     file.write_text(WAIT.format(duration=4.1))

@@ -142,8 +142,9 @@ def counts_distance(task: str) -> bool:
 
 def formula(task: str) -> str:
     """The reward of a control step in a line, with its weights."""
-    parts = [f"{term.weight:+g} /{term.unit} * ({term.formula})" for term in terms_of(task)]
-    return "r = " + " ".join(parts).removeprefix("+")
+    signs = ["-" if term.weight < 0 else "+" for term in terms_of(task)]
+    parts = [f"{abs(term.weight):g} /{term.unit} * ({term.formula})" for term in terms_of(task)]
+    return "r = " + " ".join(f"{sign} {part}" for sign, part in zip(signs, parts, strict=True)).removeprefix("+ ")
 
 
 def needs_position(term: Term) -> bool:

@@ -45,7 +45,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_file_in_the_folder_is_a_task_with_a_reward_like_any_other(folder: Path) -> None:
     assert list(tasks()) == ["balance", "forward", "turn"] and has_reward("turn")
-    assert formula("turn") == "r = 5000 /rad * (yaw' - yaw) -600 /rad^2 * (mean_j (a_j - a_j_before)^2)"
+    assert formula("turn") == "r = 5000 /rad * (yaw' - yaw) - 600 /rad^2 * (mean_j (a_j - a_j_before)^2)"
     environment = HexapodVectorEnv(base_model("hexapod"), "turn", 2)
     environment.reset()
     assert environment.steps == 30

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -107,6 +107,42 @@ def including(task: Task) -> Iterator[None]:
     """The tasks with one more for a while, which hides one of the same name."""
     with included(tasks(), task.name, task):
         yield
+
+
+class Drawn(NamedTuple):
+    """One quantity of a task's scenarios, over many draws."""
+
+    what: str
+    unit: str
+    low: float
+    median: float
+    high: float
+
+
+def drawn(task: Task, count: int = 400) -> list[Drawn]:
+    """What a task's scenarios are like: least, median and most of `count` draws, without what is always 0.
+
+    Args:
+      task: whose scenarios are drawn, by the same seeds each time.
+      count: of them.
+    """
+    rng = np.random.default_rng(0)
+    scenarios = [task.draw(rng, seed) for seed in range(count)]
+    blocks = np.array([(*b.size, *b.center[:2]) for s in scenarios for b in s.blocks])
+    slopes = [math.acos(math.cos(s.slope_roll) * math.cos(s.slope_pitch)) for s in scenarios]
+    values: list[tuple[str, str, Any]] = [
+        ("duration", "s", [s.duration for s in scenarios]),
+        ("slope of the ground", "deg", np.degrees(slopes)),
+        ("heading at the start", "deg", np.degrees([s.initial_yaw for s in scenarios])),
+        ("joints at the start", "deg", np.degrees([q for s in scenarios for q in s.initial_joint_position or (0.0,)])),
+        ("blocks", "1", [len(s.blocks) for s in scenarios]),
+    ]
+    for i, (what, unit) in enumerate(
+        (("length of a block", "m"), ("width of a block", "m"), ("height of a block", "m"),
+         ("a block ahead of the start", "m"), ("a block to the left of it", "m"))
+    ):  # fmt: skip
+        values += [(what, unit, blocks[:, i])] if len(blocks) else []
+    return [Drawn(what, unit, *np.quantile(v, [0.0, 0.5, 1.0]).tolist()) for what, unit, v in values if np.any(v)]
 
 
 def find_task(name: str) -> Task:
