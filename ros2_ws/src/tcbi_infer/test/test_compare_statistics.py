@@ -7,8 +7,9 @@ import pytest
 
 from tcbi_infer.compare.guards import check_recording, guard
 from tcbi_infer.compare.noise import autocorrelation_time, from_fast_changes, noise_floor
-from tcbi_infer.compare.replicates import Replicates, find_replicates, split
+from tcbi_infer.compare.replicates import SURE_KINDS, Replicates, find_replicates, split
 from tcbi_infer.compare.signals import JOINT, Layout, reference, window_mean
+from tcbi_infer.diagnose.paired import LEVEL, level
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.rigs import load_rig
 
@@ -62,18 +63,19 @@ def test_the_same_motion_on_another_bench_is_the_same_kind():
 
 
 def test_no_kind_of_motion_is_in_two_parts_of_a_split():
-    sets = [Replicates((i,), i % 6) for i in range(18)]
+    sets = [Replicates((i,), i % 7) for i in range(21)]
     parts = [*split(sets).folds, split(sets).sealed]
     kinds = [{sets[i].kind for i in part} for part in parts]
-    assert sum(len(k) for k in kinds) == len(set().union(*kinds)) == 6
-    assert sorted(i for part in parts for i in part) == list(range(18))
+    assert sum(len(k) for k in kinds) == len(set().union(*kinds)) == 7
+    assert sorted(i for part in parts for i in part) == list(range(21))
     assert split(sets).sealed
 
 
 def test_few_kinds_leave_nothing_sealed():
-    for count, sealed in ((3, 0), (5, 0), (6, 1), (7, 1), (10, 2)):
+    for count, sealed in ((3, 0), (5, 0), (6, 0), (7, 1), (10, 2)):
         parts = split([Replicates((i,), i) for i in range(count)])
         assert (len(parts.sealed), len(parts.folds)) == (sealed, count - sealed)
+    assert level(SURE_KINDS - 1) < level(SURE_KINDS) == LEVEL, "one more would be sealed only where 5 % can be held"
 
 
 def test_the_floor_of_replicates_is_their_noise_whatever_the_model_gets_wrong():

@@ -24,6 +24,7 @@ NEARLY = 5.0  # times such a tolerance: who asked for the same came no further f
 SAME_SHAPE = 0.1  # of a motion's spread
 MOVES = 0.02  # rad, standard deviation of a beginning that tells one motion from another
 MIN_KINDS = 5  # of fewer kinds no false-alarm rate is told
+SURE_KINDS = 6  # with which false alarms can be held at 5 % (tcbi_infer.diagnose.paired.level)
 SCRIPTED = "gait:"  # begins the name of a policy that is known to act without feedback
 
 
@@ -247,7 +248,7 @@ def split(replicates: Sequence[Replicates], seed: int = 0, sealed_share: float =
     kinds = sorted({r.kind for r in replicates})
     order = list(np.random.default_rng(seed).permutation(kinds))
     wanted = max(round(sealed_share * len(kinds)), 1) if sealed_share > 0 else 0
-    count = min(wanted, max(len(kinds) - MIN_KINDS, 0))
+    count = min(wanted, max(len(kinds) - SURE_KINDS, 0))
     sealed_kinds = set(order[:count])
     folds = tuple(
         tuple(i for i, r in enumerate(replicates) if r.kind == kind) for kind in kinds if kind not in sealed_kinds

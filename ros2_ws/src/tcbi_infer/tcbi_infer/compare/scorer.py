@@ -9,7 +9,7 @@ from tcbi_infer.compare import task
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.scores import crps, predictive_band
-from tcbi_infer.compare.signals import ATTITUDE, JOINT, Layout
+from tcbi_infer.compare.signals import ATTITUDE, JOINT, Group, Layout
 from tcbi_sim.engine import SimulatedRollouts
 
 NAMED = 3  # rollouts that a sentence names
@@ -175,7 +175,13 @@ def ratios(layout: Layout, measured: np.ndarray, predicted: np.ndarray, floor: n
         return np.sqrt(squares / count) / floor
 
 
-def error_over_floor(layout: Layout, measured: np.ndarray, predicted: np.ndarray, floor: np.ndarray) -> float:
+def error_over_floor(
+    layout: Layout,
+    measured: np.ndarray,
+    predicted: np.ndarray,
+    floor: np.ndarray,
+    groups: Sequence[Group] = (JOINT, ATTITUDE),
+) -> float:
     """The one figure for a model: root mean square, over joints and attitude, of error over noise floor.
 
     1 means that the model predicts the robot as well as the robot repeats itself. A model that diverges in a rollout
@@ -186,8 +192,9 @@ def error_over_floor(layout: Layout, measured: np.ndarray, predicted: np.ndarray
       measured: (R, T, C), NaN where missing, which is left out.
       predicted: (R, T, C), NaN where diverged.
       floor: (C,).
+      groups: whose channels count, if not those of joints and attitude.
     """
-    return float(np.sqrt(np.nanmean(ratios(layout, measured, predicted, floor)[layout.where(JOINT, ATTITUDE)] ** 2)))
+    return float(np.sqrt(np.nanmean(ratios(layout, measured, predicted, floor)[layout.where(*groups)] ** 2)))
 
 
 def _mean(values: np.ndarray) -> float:

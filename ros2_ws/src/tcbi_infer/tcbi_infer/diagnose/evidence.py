@@ -24,10 +24,15 @@ NOT_CONVERGED = "The fit of the model did not converge"
 
 @dataclasses.dataclass(frozen=True)
 class Misfit:
-    """Error over the noise floor on motions held out: of all together, and of each kind by the name of a rollout."""
+    """Error over the noise floor on motions held out: of all together, and of each kind by the name of a rollout.
+
+    Attributes:
+      attitude: of each kind, of roll and pitch alone, which are few beside the joints; empty where none was measured.
+    """
 
     total: float
     by_kind: dict[str, float] = dataclasses.field(default_factory=dict)
+    attitude: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def badly_predicted(self) -> int:

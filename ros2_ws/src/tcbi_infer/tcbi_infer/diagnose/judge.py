@@ -14,7 +14,7 @@ from tcbi_infer.compare.comparison import error_over_floor
 from tcbi_infer.compare.locate import worst_moments
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replicates import Split
-from tcbi_infer.compare.signals import JOINT
+from tcbi_infer.compare.signals import ATTITUDE, JOINT, Group
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import Evidence, Misfit, Moment, ParameterEstimate
 from tcbi_infer.diagnose.fit import Fit
@@ -81,24 +81,28 @@ class Judge:
     def misfit(self, judged: Judged) -> Misfit:
         """Of the open motions, each predicted without its own kind."""
         predicted = self.problem.observed[self.sets] - judged.held.residual
-        return Misfit(self.held_out_error(judged), self._by_kind(predicted))
+        return Misfit(self.held_out_error(judged), self._by_kind(predicted), self._by_kind(predicted, ATTITUDE))
 
     def unfitted_misfit(self) -> Misfit:
         """Of the open motions too, by the model as it was, never fitted."""
         sets = list(self.sets)
         predicted = self.replay.predict(self.model, self.model.mean()[None], sets, self.timestep)[0]
-        return Misfit(self._error(predicted, sets), self._by_kind(predicted))
+        return Misfit(self._error(predicted, sets), self._by_kind(predicted), self._by_kind(predicted, ATTITUDE))
 
-    def _by_kind(self, predicted: np.ndarray) -> dict[str, float]:
-        """Errors of predictions (open sets, T, C); infinite where one diverged, left out where nothing was measured."""
+    def _by_kind(self, predicted: np.ndarray, *groups: Group) -> dict[str, float]:
+        """Errors of predictions (open sets, T, C); infinite where one diverged, left out where nothing was measured.
+
+        With `groups`, of these signals alone.
+        """
         found: dict[str, float] = {}
+        channels = self.replay.layout.where(*(groups or (JOINT, ATTITUDE)))
         for number, fold in enumerate(fold_indices(self.problem, self.sets), 1):
             sets = self.sets[fold]
-            if not self.problem.weight[sets].any():
+            if not self.problem.weight[sets][..., channels].any():
                 continue
             first = self.replay.measurements[self.replay.replicates[sets[0]].members[0]]
             name = f"{first.rollout_id} ({first.policy_id or f'motion {number}'})"
-            found[name] = self._error(predicted[fold], list(sets))
+            found[name] = self._error(predicted[fold], list(sets), *groups)
         return found
 
     def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
@@ -109,11 +113,12 @@ class Judge:
             return self._error(self.replay.predict(model, fit.parameters[None], sealed, self.timestep)[0], sealed)
         return self._error(self.problem.observed[self.sets] - held.residual, list(self.sets))
 
-    def _error(self, predicted: np.ndarray, sets: Sequence[int]) -> float:
-        """Of predictions (sets, T, C); infinite where one diverged."""
+    def _error(self, predicted: np.ndarray, sets: Sequence[int], *groups: Group) -> float:
+        """Of predictions (sets, T, C); infinite where one diverged; of joints and attitude, or of `groups`."""
         pairs = [(m, i) for i, s in enumerate(sets) for m in self.replay.replicates[s].members]
         members, owners = map(list, zip(*pairs, strict=True))
-        return error_over_floor(self.replay.layout, self.replay.measured[members], predicted[owners], self.floor.values)
+        measured, counted = self.replay.measured[members], groups or (JOINT, ATTITUDE)
+        return error_over_floor(self.replay.layout, measured, predicted[owners], self.floor.values, counted)
 
     def evidence(self, use: str, after: Judged, before: Judged, drift: np.ndarray) -> Evidence:
         """What the rollouts say of a use that was fitted; with "" of the base model itself.
