@@ -77,7 +77,7 @@ class Picker:
         with window("max-width: 1240px; width: 96vw") as dialog:
             words("Rollouts", "h2")
             soft(
-                "A diagnosis needs several kinds of motion, five or more at best, each recorded twice. A version is "
+                "A diagnosis needs several kinds of motion, six or more at best, each recorded twice. A version is "
                 "judged on rollouts that its fit has not seen."
             )
             buttons = ui.element("div").classes("tcbi-row")

@@ -83,7 +83,7 @@ class WhyView(View):
             elif found is None:
                 empty(
                     "Nothing has been diagnosed yet.",
-                    "Choose rollouts of several kinds of motion, five or more at best, each recorded twice; "
+                    "Choose rollouts of several kinds of motion, six or more at best, each recorded twice; "
                     "then Diagnose. It takes minutes, and can be cancelled.",
                 )
             else:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.compare.replicates import MIN_KINDS
+from tcbi_infer.compare.replicates import MIN_KINDS, SURE_KINDS
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
@@ -153,7 +153,7 @@ def rule(
             (),
             "These rollouts show one kind of motion, so that no fit can be tried on another"
             f"{'' if ranking else ', no candidate was tried'} and nothing is told: "
-            f"fitted to it, the model still errs by {base.total:.1f} times the noise floor. Record {MIN_KINDS} kinds "
+            f"fitted to it, the model still errs by {base.total:.1f} times the noise floor. Record {SURE_KINDS} kinds "
             "of motion or more, each twice.",
         )
     if in_doubt(base_converged, base.total, ranking):
