@@ -18,6 +18,7 @@ from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter
 from tcbi_infer.compare.noise import NoiseFloor, mean_of
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
+from tcbi_infer.compare.steadiness import unsteady
 from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.agreement import agreement, disagreeing
 from tcbi_infer.diagnose.base_fit import base_starts, better_base, fit_base
@@ -245,7 +246,8 @@ class _Run:
         misfit, unfitted = judge.misfit(before), judge.unfitted_misfit()
         left = untried(self.model, self.uses)
         count = len({use.partition(":")[0] for use in self.uses}) if left else None
-        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count)
+        apart = unsteady(self.replay, self.floor)
+        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count, apart)
         errors = {"unfitted": judge.unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
@@ -292,6 +294,7 @@ class _Run:
             misfit=better_misfit(misfit, unfitted),
             kinds=kinds,
             untried=left,
+            unsteady=apart,
         )
 
     def _guards(self, base: Judged, after: dict[str, Judged]) -> tuple[str, ...]:

@@ -293,6 +293,7 @@ class Diagnosis:
       kinds: of motion, the sealed ones left out; 0 where that was not told.
       untestable: uses that change nothing in these rollouts.
       untried: uses of the library that were not tried.
+      unsteady: that the robot does not repeat itself, in a sentence; empty where it does.
       moments: where the base model fails worst, with and without the candidates.
       claims: caveats in sentences: how the data were split, what no claim is made about.
       false_alarms: how often the search alone raises one, as simulated for this robot and these rollouts.
@@ -328,6 +329,7 @@ class Diagnosis:
     misfit: Misfit | None = None
     kinds: int = 0
     untried: tuple[str, ...] = ()
+    unsteady: str = ""
 
     def moments_json(self) -> list[dict[str, Any]]:
         """The moments, to five digits."""
@@ -342,7 +344,7 @@ class Diagnosis:
             return UNEXPLAINED
         if self.verdict != CANNOT_TELL:
             return HEADLINES[self.verdict]
-        if self.nothing_held_out:
+        if self.nothing_held_out or (self.unsteady and not self.uses):
             return "These rollouts cannot tell"
         if in_doubt(self.base.converged, (self.base.held_out or (self.base.error_before,))[0], self.ranking):
             return NOT_CONVERGED

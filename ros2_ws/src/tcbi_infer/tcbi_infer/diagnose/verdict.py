@@ -134,6 +134,7 @@ def rule(
     base_converged: bool = True,
     unseen: float = np.inf,
     tried: int | None = None,
+    unsteady: str = "",
 ) -> Ruling:
     """The verdict.
 
@@ -145,7 +146,25 @@ def rule(
       base_converged: whether the base model's own fit did; a bad one looks like a missing effect.
       unseen: error over the floor of the model as it was, on the motions of `error_after`; infinite if not known.
       tried: effects of the library that were tried; None for all of them.
+      unsteady: that the robot does not repeat itself, in a sentence; then *nothing missing* is not told.
     """
+    ruling = _ruled(ranking, base, kinds, unfitted, base_converged, unseen, tried)
+    if not unsteady:
+        return ruling
+    if ruling.verdict == NOTHING_MISSING:
+        return Ruling(CANNOT_TELL, (), f"These rollouts cannot tell what is missing. {unsteady}")
+    return Ruling(ruling.verdict, ruling.uses, f"{ruling.statement} {unsteady}")
+
+
+def _ruled(
+    ranking: Sequence[Evidence],
+    base: Misfit,
+    kinds: int,
+    unfitted: Misfit,
+    base_converged: bool,
+    unseen: float,
+    tried: int | None,
+) -> Ruling:
     accepted = [e for e in ranking if e.accepted]
     if kinds < 2:
         return Ruling(

@@ -1,0 +1,89 @@
+"""Whether a robot repeats itself: what differs between repeats of the same commands is random to every model.
+
+Commands that get lost or come in another order on their way make repeats differ by as much as the joints move. Errors
+are told in multiples of that, so that hardly any effect can show, and a model that errs by no more says little.
+"""
+
+import itertools
+
+import numpy as np
+
+from tcbi_infer.compare.noise import NoiseFloor
+from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.signals import JOINT
+from tcbi_sim.measurement import Commands
+from tcbi_sim.rigs import load_rig
+
+ERRATIC = 0.2  # of how far the joints move, that repeats differ by
+LEAST = 1.0  # deg that they differ by at least
+STEP = 0.15  # rad, root of the sum of squares over the joints, of a way to a target that is looked at
+SHORTEST = 0.1  # s from one command to the next
+MISSED, FOLLOWED = 0.35, 0.65  # of the usual response: at most, and at least; what lies between is not counted
+LEAST_STEPS = 10  # pairs of responses from which a share is told
+
+
+def unsteady(replay: Replay, floor: NoiseFloor) -> str:
+    """A sentence where repeats of the same commands differ by much of how far the joints move; empty where not."""
+    joints = replay.layout.where(JOINT)
+    if not floor.from_replicates or not len(joints):
+        return ""
+    with np.errstate(invalid="ignore"):
+        moved = np.nanmean(np.nanstd(replay.measured[..., joints], axis=1), axis=0)
+    apart, share = floor.values[joints], floor.values[joints] / np.maximum(moved, 1e-9)
+    if np.median(apart) < LEAST or np.median(share) < ERRATIC:
+        return ""
+    lost = unfollowed(replay)
+    cause = (
+        f"In {200 * lost * (1 - lost):.0f} % of the steps one repeat followed the command and the other did not, as "
+        f"if some {100 * lost:.0f} % of the commands were lost, or came late or in another order."
+        if lost > 0
+        else "Commands that get lost or come late do that, a supply that breaks down, loose contacts, slipping feet."
+    )
+    return (
+        f"The robot does not repeat itself: asked for the same again, a joint is {np.median(apart):.1f} deg elsewhere "
+        f"(root mean square, the median joint), {100 * np.median(share):.0f} % of how far it moves. {cause} Errors are "
+        "told in multiples of this, so that hardly any effect can show."
+    )
+
+
+def unfollowed(replay: Replay) -> float:
+    """The share of commands that a robot did not follow, from how often one of two repeats did and the other did not.
+
+    Of two repeats of a command of which each is missed with probability p, one alone is missed with 2 p (1 - p). Zero
+    where too few commands are large and apart enough, where the repeats follow them alike, and for a rig whose commands
+    are torques.
+    """
+    if load_rig(replay.rig).kind != "position":
+        return 0.0
+    pairs = []
+    for s, replicates in enumerate(replay.replicates):
+        for a, b in itertools.combinations(replicates.members, 2):
+            pairs.append(np.stack([_responses(replay, m, replay.commands[s]) for m in (a, b)]))
+    if not pairs:
+        return 0.0
+    both = np.concatenate(pairs, axis=1)
+    both = both[:, np.isfinite(both).all(axis=0)]
+    if both.shape[1] < LEAST_STEPS:
+        return 0.0
+    usual = float(np.quantile(both, 0.75))
+    missed, followed = both < MISSED * usual, both > FOLLOWED * usual
+    clear = (missed | followed).all(axis=0)
+    if clear.sum() < LEAST_STEPS:
+        return 0.0
+    alone = float(missed[:, clear].any(axis=0).mean() - missed[:, clear].all(axis=0).mean())
+    return (1 - np.sqrt(max(1 - 2 * alone, 0.0))) / 2
+
+
+def _responses(replay: Replay, member: int, commands: Commands) -> np.ndarray:
+    """(K,) which share of the way to its target the joints went until the next command; NaN of a short way."""
+    measured = np.radians(replay.measured[member][:, replay.layout.where(JOINT)])
+    ends = np.append(commands.time[1:], np.inf)
+    rows = np.searchsorted(replay.time, np.stack([commands.time, ends]) - 1e-6)
+    found = np.full(len(commands.time), np.nan)
+    for k, (begin, end) in enumerate(rows.T):
+        if end >= len(measured) or ends[k] - commands.time[k] < SHORTEST:
+            continue
+        way = commands.target[k] - measured[begin]
+        if np.linalg.norm(way) >= STEP:  # NaN where nothing was measured
+            found[k] = (measured[end] - measured[begin]) @ way / (way @ way)
+    return found

@@ -1,0 +1,62 @@
+"""A robot that does not repeat itself is told, and how many of its commands seem to get lost."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tcbi_infer.compare.replay import Replay
+from tcbi_infer.compare.steadiness import unfollowed, unsteady
+from tcbi_infer.diagnose.evidence import Misfit
+from tcbi_infer.diagnose.verdict import CANNOT_TELL, NOTHING_MISSING, rule
+from tcbi_sim.engine import simulate
+from tcbi_sim.measurement import Commands, Measurement, Scenario
+from tcbi_sim.model import base_model
+
+MODEL = base_model("servo_bench")
+PERIOD, COUNT = 0.2, 60
+
+
+def recorded(lost: float, noise: float = 0.001) -> list[Measurement]:
+    """Two repeats of two motions of the servo bench, in which each command is lost with probability `lost`."""
+    rng, found = np.random.default_rng(0), []
+    for motion in range(2):
+        target = np.random.default_rng(10 + motion).uniform(-0.6, 0.6, (COUNT, 1))
+        for repeat in range(2):
+            heard = target.copy()
+            for k in range(1, COUNT):
+                if rng.random() < lost:
+                    heard[k] = heard[k - 1]
+            time = np.arange(COUNT) * PERIOD
+            scenario = Scenario("bench", COUNT * PERIOD)
+            out = simulate(MODEL, MODEL.mean()[None], [scenario], commands=[Commands(time, heard, PERIOD)])
+            m = out.measurement(0, rollout_id=f"motion-{motion}-{repeat}")
+            moved = m.joint_position + noise * rng.standard_normal(m.joint_position.shape)
+            found.append(dataclasses.replace(m, commands=Commands(time, target, PERIOD), joint_position=moved))
+    return found
+
+
+def told(lost: float) -> tuple[float, str]:
+    replay = Replay.of(MODEL, recorded(lost))
+    floor = replay.noise_floor(np.zeros_like(replay.measured))
+    return unfollowed(replay), unsteady(replay, floor)
+
+
+@pytest.mark.parametrize("lost", [0.1, 0.25])
+def test_lost_commands_show_in_what_repeats_do_not_share(lost: float) -> None:
+    share, said = told(lost)
+    assert 0.5 * lost < share < 1.5 * lost, "a rough figure"
+    assert (
+        said.startswith("The robot does not repeat itself") and f"{100 * share:.0f} % of the commands were lost" in said
+    )
+
+
+def test_a_robot_that_repeats_itself_is_told_nothing() -> None:
+    assert told(0.0) == (0.0, "")
+
+
+def test_nothing_missing_is_not_told_of_a_robot_that_does_not_repeat_itself() -> None:
+    misfit = Misfit(1.1, {f"motion-{i}": 1.1 for i in range(5)})
+    assert rule([], misfit, 5, misfit).verdict == NOTHING_MISSING
+    ruling = rule([], misfit, 5, misfit, unsteady="The robot does not repeat itself.")
+    assert ruling.verdict == CANNOT_TELL and ruling.uses == () and "does not repeat itself" in ruling.statement
