@@ -105,7 +105,7 @@ def told_by_data(estimate: "Estimate", result: "Result", method: "Method") -> st
     if estimate.identified:
         return "yes"
     if estimate.variance_ratio < IDENTIFIED_BELOW:
-        return "not surely: too few effective particles"
+        return "not surely"
     return "no: little more than the prior" if result.prior is None else f"little beyond {result.model.version}'s"
 
 
