@@ -132,6 +132,17 @@ def test_how_many_kinds_err_is_asked_of_the_model_that_predicts_better():
     assert ruling.verdict == NOTHING_MISSING and "most in e, by 6.0" in ruling.statement
 
 
+@pytest.mark.parametrize(
+    ("tilts", "verdict"), [((3.0, 8.0, 8.0, 7.0, 9.0), OUTSIDE_LIBRARY), ((9, 3, 2, 9, 9), NOTHING_MISSING)]
+)
+def test_a_wrong_attitude_is_not_drowned_in_well_predicted_joints(tilts: tuple[float, ...], verdict: str) -> None:
+    kinds = {f"motion-{i}": 2.5 for i in range(5)}
+    base = Misfit(2.5, kinds, dict(zip(kinds, map(float, tilts), strict=True)))
+    ruling = rule([], base, 5, everywhere(28.0, 5))
+    assert ruling.verdict == verdict
+    assert ("roll and pitch by 8.0 in the median kind" in ruling.statement) == (verdict == OUTSIDE_LIBRARY)
+
+
 def test_a_large_error_that_no_candidate_explains_lies_outside_the_library():
     assert ruled(evidence("backlash", after=18.0, before=20.0), base_error=20.0).verdict == OUTSIDE_LIBRARY
     assert (
