@@ -59,14 +59,14 @@ def test_a_foot_that_never_touches_shows_in_its_contact_ratio_alone(rollouts):
 
 def test_without_repeats_every_floor_says_that_it_is_estimated(rollouts):
     single = compare(MODEL, rollouts[::2], particles=0)
-    assert {e.floor_from for e in (*single.signals, *single.statistics)} == {"residual"}
+    assert {e.floor_from for e in (*single.signals, *single.statistics)} == {"residual", "minimum"}
     assert np.isnan(named(single.statistics, "return").noise_floor), "two rollouts cannot show their own scatter"
 
 
 def test_copies_of_a_recording_make_no_floor_for_any_signal_or_statistic(rollouts):
     copies = [rollouts[0], dataclasses.replace(rollouts[0], rollout_id="copy")]
     once, twice = (compare(base_model("hexapod"), given, particles=0) for given in (copies[:1], copies))
-    assert {e.floor_from for e in (*twice.signals, *twice.statistics)} == {"residual"}
+    assert {e.floor_from for e in (*twice.signals, *twice.statistics)} == {"residual", "minimum"}
     assert [e.noise_floor for e in twice.signals] == pytest.approx([e.noise_floor for e in once.signals], nan_ok=True)
     thrice = compare(
         base_model("hexapod"), [*copies, dataclasses.replace(rollouts[0], rollout_id="another")], particles=0

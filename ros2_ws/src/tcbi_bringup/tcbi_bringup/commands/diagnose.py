@@ -124,7 +124,7 @@ def _as_json(found: "list[Round]", paths: list[Path], *, saved: bool) -> dict[st
 def _print(d: "Diagnosis", path: Path, *, added: bool) -> None:
     from tcbi_infer.diagnose import detectable, excitation
     from tcbi_infer.diagnose.adopt import objection
-    from tcbi_infer.diagnose.evidence import CANNOT_TELL
+    from tcbi_infer.diagnose.evidence import CANNOT_TELL, OUTSIDE_LIBRARY
 
     for finding in d.guards:
         print(f"note: {finding}")
@@ -148,6 +148,9 @@ def _print(d: "Diagnosis", path: Path, *, added: bool) -> None:
         print(f"  {line}")
     for command in dict.fromkeys(m.command for m in excitation.best(d.next_motions) if m.command):
         print(f"next: {command}")
+    part = next((e.use for e in d.ranking if e.accepted), "") if d.verdict == OUTSIDE_LIBRARY else ""
+    if part and not added and not objection(d.to_json(), part):
+        print(f"next: ./tcbi add {part} --model {d.model}              # explains a part; then diagnose that version")
     if not added and d.verdict == CANNOT_TELL and sum(e.accepted for e in d.ranking) > 1:
         print(
             "next: ./tcbi diagnose BAG… --add              # tries each of them beside the other: both may be missing"

@@ -38,8 +38,8 @@ class Kind:
         if self.name == LAG:
             return f"{'lag' if self.size > 0 else 'lead'}{s} the prediction by {1000 * size:.0f} ms{apart}"
         if self.name == OFFSET:
-            side = "off" if apart else "above" if self.size > 0 else "below"
-            return f"sit{s} {size:.1f} deg {side} the prediction{apart}"
+            side = "more or less" if apart else "more" if self.size > 0 else "less"
+            return f"read{s} {size:.1f} deg {side} than predicted{apart}"
         if self.name == DROOP:
             if apart:
                 return f"give{s} way under load {100 * size:.0f} % more or less than predicted{apart}"

@@ -19,6 +19,7 @@ from tcbi_sim.rig import Rig
 
 LEAST_SCORE = 0.02
 MOMENT_S = 1.5  # s, length of a moment
+ALIKE = 2  # moments of one signal in one rollout, beyond which they would show the same again
 
 
 def joint_cells(rig: Rig) -> dict[str, tuple[int, ...]]:
@@ -212,4 +213,6 @@ def worst_moments(
         r, t, c = np.unravel_index(int(np.argmax(windows)), windows.shape)
         moments.append((int(r), int(t), int(channels[c])))
         windows[r, max(0, t - span) : t + span, :] = -1
+        if sum(m[0] == r and m[2] == channels[c] for m in moments) == ALIKE:
+            windows[r, :, c] = -1
     return moments

@@ -13,7 +13,7 @@ from tcbi_infer.compare.signals import ATTITUDE, JOINT, Group, Layout
 from tcbi_sim.engine import SimulatedRollouts
 
 NAMED = 3  # rollouts that a sentence names
-REPLICATES, RESIDUAL = "replicates", "residual"  # where a noise floor comes from
+REPLICATES, RESIDUAL, LEAST = "replicates", "residual", "minimum"  # where a noise floor comes from
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +24,8 @@ class SignalError:
       ratio: error / noise floor.
       coverage90: share of samples inside the predictive 90 % band.
       crps: mean continuous ranked probability score, in the signal's unit; noise alone gives 0.56 x the noise floor.
-      floor_from: "replicates", or "residual" where no commands were repeated.
+      floor_from: "replicates", "residual" where no commands were repeated, or "minimum" where either says less than
+        is credible.
     """
 
     name: str
@@ -131,7 +132,8 @@ class Scorer:
         return tuple(
             SignalError(
                 c.name, c.group.unit, float(ratio[i] * floor.values[i]), float(floor.values[i]), float(ratio[i]),
-                float(coverage[i]), _mean(self.score[..., i]), _source(floor.replicated(i)),
+                float(coverage[i]), _mean(self.score[..., i]),
+                _source(floor.replicated(i), floor.values[i], c.group.resolution),
             )
             for i, c in enumerate(layout.channels)
             if not np.isnan(ratio[i])
@@ -149,7 +151,14 @@ class Scorer:
             coverage, score = _mean(self.inside[name]), _mean(self.task_score[name])
             errors.append(
                 SignalError(
-                    name, task.unit(name), error, sigma, error / sigma, coverage, score, _source(floor.from_replicates)
+                    name,
+                    task.unit(name),
+                    error,
+                    sigma,
+                    error / sigma,
+                    coverage,
+                    score,
+                    _source(floor.from_replicates, sigma, task.least(name)),
                 )
             )
         return tuple(errors)
@@ -209,5 +218,5 @@ def in_words(which: Sequence[int] | np.ndarray, names: Sequence[str]) -> str:
     return f"{len(which)} of {len(names)} rollouts ({', '.join(names[r] for r in which[:NAMED])}{more})"
 
 
-def _source(repeated: bool) -> str:
-    return REPLICATES if repeated else RESIDUAL
+def _source(repeated: bool, sigma: float, least: float) -> str:
+    return LEAST if sigma <= least else REPLICATES if repeated else RESIDUAL

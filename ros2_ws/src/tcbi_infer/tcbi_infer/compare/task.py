@@ -156,6 +156,11 @@ def _stacked(replay: Replay, each: Sequence[Values]) -> Values:
     return result
 
 
+def least(name: str) -> float:
+    """The smallest noise floor of a task signal or statistic that is credible, in its unit."""
+    return LEAST.get(name, LEAST_SHARE)
+
+
 def floors(replay: Replay, observed: Values, mean: Values) -> dict[str, TaskFloor]:
     """The noise floor of each task signal and statistic.
 
@@ -169,7 +174,7 @@ def floors(replay: Replay, observed: Values, mean: Values) -> dict[str, TaskFloo
             values,
             values - mean[name],
             replay.repeats,
-            LEAST.get(name, LEAST_SHARE),
+            least(name),
             replay.readings if name == DISTANCE else None,
         )
         for name, values in observed.items()

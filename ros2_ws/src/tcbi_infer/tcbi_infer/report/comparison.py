@@ -8,7 +8,9 @@ from tcbi_infer.compare.comparison import Comparison
 from tcbi_infer.compare.findings import Finding, Moment
 from tcbi_infer.compare.ladder import Rung, explained
 from tcbi_infer.compare.maps import curves, heat, joint_errors
+from tcbi_infer.compare.replicates import by_torque
 from tcbi_infer.compare.scorer import SignalError, in_words
+from tcbi_infer.compare.signals import JOINT, reference
 from tcbi_infer.compare.worst import MOMENTS
 from tcbi_infer.report import plots
 from tcbi_infer.report.body import body_figures
@@ -173,4 +175,13 @@ def _overlay(
         f"{channel.name} / {channel.group.unit}",
         after.predicted[r, cut, i] if same and after is not None else None,
         inside,
+        _command(c, r, i, cut),
     )
+
+
+def _command(c: Comparison, r: int, i: int, cut: slice) -> np.ndarray | None:
+    """(T,) deg that a joint was asked for; None of another signal, and where torques drive."""
+    channel, measurement = c.replay.layout.channels[i], c.replay.measurements[r]
+    if channel.group is not JOINT or by_torque(measurement):
+        return None
+    return np.degrees(reference(measurement, c.replay.time[cut])[:, measurement.joint_names.index(channel.name)])

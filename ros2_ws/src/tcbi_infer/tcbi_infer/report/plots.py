@@ -99,6 +99,7 @@ def overlay(
     label: str,
     after: np.ndarray | None = None,
     inside: np.ndarray | None = None,
+    command: np.ndarray | None = None,
 ) -> str:
     """Measured against predicted motion with the predictive 90 % band.
 
@@ -108,12 +109,15 @@ def overlay(
       label: of the axis, with its unit.
       after: (T,) another model's prediction.
       inside: (T,) bool, shaded: where a phase of the motion holds.
+      command: (T,) what was asked for.
     """
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(2.5)
         for begin, end in _stretches(inside) if inside is not None and not inside.all() else ():
             axes.axvspan(time[begin], time[min(end, len(time) - 1)], color=GREY, alpha=0.22, lw=0)
         axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="90 % band")
+        if command is not None:
+            _line(axes, time, command, color=INK, lw=0.8, ls=":", label="command")
         _line(axes, time, predicted, color=BLUE, label="predicted")
         if after is not None:
             _line(axes, time, after, color=GREEN, ls="-.", label="with the effect")
@@ -121,7 +125,7 @@ def overlay(
         axes.set_xlabel("time / s")
         axes.set_ylabel(label)
         axes.margins(x=0)
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2, handlelength=1.8)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3, handlelength=1.8)
         return to_svg(figure)
 
 
