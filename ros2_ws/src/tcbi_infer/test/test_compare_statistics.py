@@ -158,6 +158,23 @@ def test_wiring_and_unit_mistakes_are_named(change, words):
     assert any(words in finding for finding in check_recording(broken))
 
 
+def test_a_joint_that_stands_still_while_it_is_asked_to_move_is_named():
+    sound = recording()
+    assert check_recording(sound) == []
+    position = sound.joint_position.copy()
+    position[80:, 4] = position[80, 4]
+    (finding,) = check_recording(dataclasses.replace(sound, joint_position=position))
+    assert finding.startswith(f"{sound.joint_names[4]} stays where it is from 1.6") and "servo dead" in finding
+
+
+def test_a_broken_reading_is_named_and_taken_for_no_other_unit():
+    sound = recording()
+    position = sound.joint_position.copy()
+    position[100, 3] = 300.0
+    (finding,) = check_recording(dataclasses.replace(sound, joint_position=position))
+    assert finding.startswith(f"1 reading of {sound.joint_names[3]}, the first at ") and "broken on" in finding
+
+
 def test_an_echo_of_the_commands_is_named():
     assert any("echoes commands" in f for f in check_recording(recording(lag=0.0, gain=1.0)))
 

@@ -8,10 +8,13 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from tcbi_contract.wording import counted
 from tcbi_infer.compare.clocks import LONGEST, MOVES, Following, aligned, clock_rate, correlation
 from tcbi_infer.compare.imu_guards import check_imu
 from tcbi_infer.compare.replicates import by_torque, find_replicates, nearly_repeats
+from tcbi_infer.compare.signals import reference
 from tcbi_infer.gaps import sample_gaps, unusable
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.rig import Rig
@@ -35,6 +38,10 @@ IDLE_SPAN = (0.2, 0.8)  # of its range
 STEPS = 5.0  # encoder steps between two samples in which a value must change
 SAMPLE_GAPS = (2e-4, 0.5)  # s between samples, beyond which the times rather have another unit
 BEYOND = 1.5  # of a rig's joint range, which no zero offset explains
+SPIKE = 0.3  # rad off both neighbours
+ALL_BUT_SPIKES = 0.99  # of the samples
+FROZEN_S = 1.5  # s in which a joint stays within STILL while its command goes FROZEN to and fro
+STILL, FROZEN = 0.005, 0.6  # rad; dry friction holds a soft servo (kp 100 to 800 of an XL330) against 0.3
 RUSH = 5.0  # times the speed of a rig's joint without load
 
 
@@ -148,6 +155,8 @@ def check_recording(m: Measurement, following: Following | None = None) -> list[
         *clock,
         *unusable(m, m.time).sentences,
         *_held(m),
+        *_spikes(m),
+        *_frozen(m),
         *_units(m, following),
         *_echo(m, following),
         *_wiring(m, following),
@@ -203,8 +212,47 @@ def _held(m: Measurement) -> list[str]:
     return [f"The stream claims {rate:.0f} Hz but its joint positions change only {changes:.0f} times a second"]
 
 
+def _spikes(m: Measurement) -> list[str]:
+    """Single readings far from both neighbours, which agree: a bit that fell over on the bus."""
+    q = m.joint_position
+    off = np.abs(q[1:-1] - (q[:-2] + q[2:]) / 2)
+    spike = (off > SPIKE) & (np.abs(q[2:] - q[:-2]) < off / 2)
+    found = []
+    for j in np.flatnonzero(spike.any(axis=0)):
+        at = np.flatnonzero(spike[:, j]) + 1
+        jump = float(np.max(off[at - 1, j]))
+        found.append(
+            f"{counted(len(at), 'reading')} of {m.joint_names[j]}, the first at {m.time[at[0]]:.2f} s, stand"
+            f"{'s' * (len(at) == 1)} up to {jump:.3g} rad off the readings before and after: broken on their way, and "
+            "counted all the same"
+        )
+    return found
+
+
+def _frozen(m: Measurement) -> list[str]:
+    """Joints that stay where they are while their command moves: a frozen reading, or a servo that does nothing."""
+    if by_torque(m) or not m.commands.time.size:
+        return []
+    asked, width = reference(m, m.time), int(np.searchsorted(m.time, m.time[0] + FROZEN_S))
+    if width < 2 or width >= len(m.time):
+        return []
+    stays = np.ptp(sliding_window_view(m.joint_position, width, axis=0), axis=-1) < STILL
+    way = np.concatenate([np.zeros_like(asked[:1]), np.cumsum(np.abs(np.diff(asked, axis=0)), axis=0)])
+    still = stays & (way[width - 1 :] - way[: len(way) - width + 1] > FROZEN)
+    found = []
+    for j in np.flatnonzero(still.any(axis=0)):
+        first = int(np.argmax(still[:, j]))
+        end = first + int(np.argmin(np.append(still[first:, j], False))) - 1 + width
+        moved, until = np.degrees(way[end - 1, j] - way[first, j]), m.time[end - 1]
+        found.append(
+            f"{m.joint_names[j]} stays where it is from {m.time[first]:.1f} to {until:.1f} s "
+            f"while its command goes {moved:.0f} deg to and fro: its reading may be frozen, or its servo dead"
+        )
+    return found
+
+
 def _units(m: Measurement, following: Following) -> list[str]:
-    largest = float(np.nanmax(np.abs(m.joint_position)))
+    largest = float(np.quantile(np.nan_to_num(np.abs(m.joint_position)).max(axis=1), ALL_BUT_SPIKES))
     if following.told:
         asked, seen = following.pairs(_found(following))
         slope = float(np.nanmedian(following.gain)) if np.isfinite(following.gain).any() else 1.0
