@@ -150,14 +150,16 @@ def rule(
       base_converged: whether the base model's own fit did; a bad one looks like a missing effect.
       unseen: error over the floor of the model as it was, on the motions of `error_after`; infinite if not known.
       tried: effects of the library that were tried; None for all of them.
-      unsteady: that the robot does not repeat itself, in a sentence; then *nothing missing* is not told.
+      unsteady: that the robot does not repeat itself, in a sentence; then neither one effect nor that none is missing
+        is told.
     """
     ruling = _ruled(ranking, base, kinds, unfitted, base_converged, unseen, tried)
     if not unsteady:
         return ruling
     if ruling.verdict == NOTHING_MISSING:
         return Ruling(CANNOT_TELL, (), f"These rollouts cannot tell what is missing. {unsteady}")
-    return Ruling(ruling.verdict, ruling.uses, f"{ruling.statement} {unsteady}")
+    verdict = CANNOT_TELL if ruling.verdict == EFFECT else ruling.verdict  # lost commands look like damping in the mean
+    return Ruling(verdict, ruling.uses, f"{ruling.statement} {unsteady}")
 
 
 def _ruled(
