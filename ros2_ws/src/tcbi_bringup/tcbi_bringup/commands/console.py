@@ -139,12 +139,14 @@ def read_bags(args: argparse.Namespace) -> "list[Measurement]":
     return read_measurements(args.bags, None, args.namespace, lambda why: note(f"note: left out: {why}"))
 
 
-def note_findings(measurements: "Sequence[Measurement]") -> None:
-    """Say what the reader had to leave out of recordings, and what is odd in them."""
+def note_findings(measurements: "Sequence[Measurement]") -> list[str]:
+    """Say what the reader had to leave out of recordings, and what is odd in them; returns the sentences."""
     from tcbi_infer.compare.guards import guard
 
-    for finding in guard(measurements):
+    findings = guard(measurements)
+    for finding in findings:
         note(f"note: {finding}")
+    return findings
 
 
 def add_model(parser: argparse.ArgumentParser, use: str = "model version") -> None:

@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_sim.store import ModelStore
 
     measurements = console.read_bags(args)
+    noted = console.note_findings(measurements)
     store = ModelStore(args.store)
     model = console.load_model(store, args.model, measurements[0].rig)
     found: list[Round] = []
@@ -83,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         console.emit(_as_json(found, paths, saved=args.add))
         return 0
     for one, path in zip(found, paths, strict=True):
-        _print(one.diagnosis, path, added=args.add)
+        _print(one.diagnosis, path, added=args.add, noted=noted)
         if one.resolved:
             print(one.resolved)
     if args.add:
@@ -121,13 +123,14 @@ def _as_json(found: "list[Round]", paths: list[Path], *, saved: bool) -> dict[st
     return {**first, "then": then}
 
 
-def _print(d: "Diagnosis", path: Path, *, added: bool) -> None:
+def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> None:
     from tcbi_infer.diagnose import detectable, excitation
     from tcbi_infer.diagnose.adopt import objection
     from tcbi_infer.diagnose.evidence import CANNOT_TELL, OUTSIDE_LIBRARY
 
     for finding in d.guards:
-        print(f"note: {finding}")
+        if finding not in noted:  # told before the search
+            print(f"note: {finding}")
     head = ["effect", "held-out gain", "s.e.", "statistic", "error before", "after", "size (90 % interval)"]
     rows = []
     for e in d.ranking[:10]:
@@ -167,4 +170,5 @@ def _print_steps(found: "list[Round]") -> None:
     console.table("error over the noise floor, motions held out", ["model", "error / noise floor"], steps(found))
     last = found[-1]
     print(f"the search ended: {last.ending}")
-    print(f"next: ./tcbi history BAG… --rig {last.model.rig}              # on rollouts that no fit has seen")
+    if any(one.added for one in found):
+        print(f"next: ./tcbi history BAG… --rig {last.model.rig}              # on rollouts that no fit has seen")

@@ -57,7 +57,7 @@ def _print(d: "Difference") -> None:
         ["made by", first.kind, second.kind],
         ["rollouts it was fitted to", str(len(first.rollouts)), str(len(second.rollouts))],
         ["joints' own gains", first.joint_gains, second.joint_gains],
-        ["error / noise floor, unseen rollouts", *(_error(g.error_over_floor) for g in (first, second))],
+        ["error / noise floor, held out", *(_error(g.error_over_floor) for g in (first, second))],
     ]
     console.table("", ["", d.before, d.after], grounds)
     for version, each in ((d.before, first), (d.after, second)):

@@ -71,6 +71,9 @@ def run(args: argparse.Namespace) -> int:
     console.table("", ["model", "parent", "effects", "error / noise floor"], rows)
     floor = "estimated, since no motion was repeated" if lines[0].floor_from_replicates is False else "the noise floor"
     print(f"1 is {floor}; – where no rollout unseen by the fits was compared.")
+    known = [(error, name) for name, _, _, error in rows if error == error]
+    if len(known) > 1 and min(known)[1] != versions[-1].version:
+        print(f"{min(known)[1]} errs least; {versions[-1].version} is the newest, which commands take without --model")
     if not measured:
         print(KEPT)
     print(f"report: {path}")

@@ -92,7 +92,7 @@ def _show(args: argparse.Namespace, store: "ModelStore") -> int:
         ["effects", ", ".join(model.effects) or "none"],
         ["rollouts it was fitted to", str(facts["rollouts"])],
         ["joints' own gains", facts["joint_gains"]],
-        ["error / noise floor, unseen rollouts", _error(facts)],
+        ["error / noise floor, held out", _error(facts)],
         ["versions made from it", ", ".join(children) or "none"],
     ]
     console.table(model.version, ["what", "value"], rows)

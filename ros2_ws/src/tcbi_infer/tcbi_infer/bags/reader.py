@@ -105,8 +105,9 @@ def _measurement(recording: Recording, span: Span, wanted_rig: str | None) -> Me
     rig, joint_names, noted_names = _rig(recording, span, wanted_rig)
     joints = _within(_joints(recording, joint_names, notes), span)
     if joints is None or len(joints) < 2:
+        why = "".join(f"; {note}" for note in notes if note.startswith(JOINT_STATES))
         raise EmptyRolloutError(
-            f"{recording.path}: rollout {span.rollout_id!r} holds no joint_states after its BEGIN event"
+            f"{recording.path}: rollout {span.rollout_id!r} holds no joint_states of use after its BEGIN event{why}"
         )
     _say_gaps(JOINT_STATES, _missing(joints, joints, span), notes)
     _say_late(joints, span, notes)
@@ -225,8 +226,10 @@ def _joints(recording: Recording, joint_names: tuple[str, ...], notes: list[str]
     if short:
         notes.append(f"{JOINT_STATES}: left out {counted(short, 'message')} without a joint of the rig or a position")
     if found is not None and not np.isfinite(found.values).all():
-        bad = ~np.isfinite(found.values).all(axis=1)
-        notes.append(f"{JOINT_STATES}: left out {counted(int(bad.sum()), 'sample')} with a position that is no number")
+        lost = ~np.isfinite(found.values)
+        bad, of = lost.any(axis=1), ", ".join(np.array(joint_names)[lost.any(axis=0)][:3])
+        samples = counted(int(bad.sum()), "sample")
+        notes.append(f"{JOINT_STATES}: left out {samples} with a position that is no number (of {of})")
         found = Stream(found.stamp[~bad], found.values[~bad])
     return found
 

@@ -315,7 +315,7 @@ def rows(sizes: Sequence[DetectableSize]) -> list[list[str]]:
             continue
         hardest = {np.sign(s.value - s.null): s for s in sorted(shown, key=lambda s: s.share)}  # type: ignore[operator]
         texts = [_text(s) for _, s in sorted(hardest.items())]
-        missed = len(dict.fromkeys(s.use for s in mine if s.value is None))
+        missed = sites - len(dict.fromkeys(s.use for s in shown))
         decided = max(hardest.values(), key=lambda s: s.share).limit
         rest = f"; not at every place: {missed} of {sites} not at all" if missed and sites > 1 else ""
         result.append([name, parameter, " or ".join(texts), decided + rest])

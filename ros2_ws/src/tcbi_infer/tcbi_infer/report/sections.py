@@ -242,7 +242,7 @@ def add_difference(report: Report, d: Difference) -> None:
         ["what it says", *(g.statement or "–" for g in grounds)],
         ["rollouts that it was fitted to", *(len(g.rollouts) for g in grounds)],
         ["joints' own gains", *(g.joint_gains for g in grounds)],
-        ["error over noise floor, unseen rollouts", *(g.error_over_floor for g in grounds)],
+        ["error over noise floor, held out", *(g.error_over_floor for g in grounds)],
     ]
     text = []
     if d.rollouts_shared:
