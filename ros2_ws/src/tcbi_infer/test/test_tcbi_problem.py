@@ -309,3 +309,17 @@ def test_simulations_that_diverge_leave_every_method_a_finite_posterior(problem:
     assert np.isfinite(weights @ result.unit).all()
     if method != "simopt":  # whose posterior is a Gaussian fitted to the others
         assert weights[result.unit[:, 0] >= 0.67].sum() < 1e-6
+
+
+def test_how_many_particles_diverged_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulate = Problem.simulate
+
+    def every_fourth_lost(self: Problem, *args, **more):
+        seen = simulate(self, *args, **more)
+        seen.valid[::4] = False
+        return seen
+
+    monkeypatch.setattr(Problem, "simulate", every_fourth_lost)
+    result = infer(Problem.of(*bench_rollouts(count=4), timestep=0.01), "calibrated", particles=16, generations=2)
+    assert any("particles diverged in a rollout and weigh nothing" in line for line in result.warnings)
+    assert sum("8 of 32 particles" in line for line in result.warnings) == 1

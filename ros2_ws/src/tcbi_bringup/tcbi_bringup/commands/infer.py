@@ -138,6 +138,7 @@ def run(args: argparse.Namespace) -> int:
         timestep=args.timestep,
         threads=args.threads,
         seed=args.seed,
+        by_task=method.by_task,
     )
     console.note(f"{len(problem.rollout_ids)} rollouts, model {model.version}, method {method.name}")
     given = {"particles": args.particles, "generations": args.generations}
@@ -172,6 +173,9 @@ def run(args: argparse.Namespace) -> int:
     else:
         _print(result, method, saved.version)
         _print_truth(result, truth)
+        unknown = [e.name for e in result.estimates if not e.identified]
+        if method.judges and result.fits and unknown and advice is None:
+            print(f"next: the same with --advise says which motions would tell {', '.join(unknown)}")
         for a in advice or ():
             print(a.line())
         print(f"report: {path}")
@@ -239,6 +243,9 @@ def beside_truth(estimate: "Estimate", truth: float) -> dict[str, Any]:
 
 
 def _print_truth(result: "Result", truth: dict[str, float]) -> None:
+    for p in result.model.parameters:
+        if p.name in truth and not p.low <= truth[p.name] <= p.high:
+            print(f"{p.name}: the truth {truth[p.name]:g} lies outside the prior, {p.low:g} to {p.high:g} {p.unit}")
     found = [beside_truth(e, truth[e.name]) for e in result.estimates if e.name in truth]
     if found:
         rows = [[f["name"], f["unit"], f["truth"], f["error"], "yes" if f["inside"] else "no"] for f in found]

@@ -201,6 +201,7 @@ class _Loop:
         self.last = Generation(np.nan, np.nan, np.zeros(len(self.statistics)), {})
         self.begun = time.monotonic()
         self.here = 0  # generations run by this process
+        self.simulated = self.diverged = 0  # particles, by this process
 
     def _begin(self) -> tuple[Any, list[dict[str, Any]], bool]:
         if self.place is not None:
@@ -235,7 +236,10 @@ class _Loop:
 
     def _simulate(self, unit: np.ndarray) -> Any:
         with _simulating():
-            return self.problem.simulate(unit, self._tell, self.method.view)
+            seen = self.problem.simulate(unit, self._tell, self.method.view)
+        self.simulated += len(seen.valid)
+        self.diverged += int(np.sum(~seen.valid))
+        return seen
 
     def _told(self, found: Generation) -> Generation:
         """A generation with its best particles where the posterior's are: in the parameters' unit cube."""
@@ -317,6 +321,11 @@ class _Loop:
         lines += [] if self.state.converged or fits is False else unfinished(last)
         if several := modes.told(model.parameters, unit, np.exp(log_weights)):
             lines.append(f"the posterior has {several}; a mean and an interval do not show that, the report does")
+        if self.diverged:
+            lines.append(
+                f"{self.diverged} of {self.simulated} particles diverged in a rollout and weigh nothing: the model is "
+                "unstable there, or the time step too long (--timestep)"
+            )
         judged = self.method.judges and fits is True
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = (self.method.simulations(self.state, self.settings) + seen.particles) * len(problem.rollout_ids)

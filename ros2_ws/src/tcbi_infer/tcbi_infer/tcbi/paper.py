@@ -63,7 +63,7 @@ class PaperInfo(NamedTuple):
 
 
 def init(rng: np.random.Generator, dimensions: int, settings: PaperSettings) -> PaperState:
-    """Line 2."""
+    """Line 2; line 1, the distributions of the real rollouts, is `Problem.observed`."""
     particles = rng.random((settings.particles, dimensions))  # line 2: sample particles from the prior
     weights = np.full(settings.particles, 1 / settings.particles)  # line 2: w_i = 1/N
     return PaperState(0, particles, weights, particles.mean(axis=0), np.nan, False)

@@ -90,6 +90,7 @@ class Problem:
         threads: int = 0,
         seed: int = 0,
         bins: int = BINS,
+        by_task: bool = True,
     ) -> "Problem":
         """Check the rollouts and prepare them.
 
@@ -106,6 +107,7 @@ class Problem:
           threads: 0 for all processors.
           seed: of the simulated sensors' noise.
           bins: of each histogram, the two tails among them.
+          by_task: whether the method looks at statistics; if not, what is odd in them is not told.
 
         Raises:
           InferError: the rollouts do not allow an inference.
@@ -151,12 +153,12 @@ class Problem:
             tuple(names[i] for i in used),
             pooled_divergence(divergence_name, binnings, counts),
         )
+        odd = (*left_out, *_silent(names, used), *_constant(names, used, pooled), *_crowded(observed))
         return cls(
             model, tuple(groups), tuple(controllers.get(g.measurements[0].policy_id) for g in groups), kept, observed,
             binnings, tuple(pooled[i] for i in used), blocks, noise,
             timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
-            (*warnings, said, *left_out,
-             *_silent(names, used), *_constant(names, used, pooled), *_crowded(observed), *noisier(noise, nominal)),
+            (*warnings, said, *(odd if by_task else ()), *noisier(noise, nominal)),
             known, noisy,
         )  # fmt: skip
 
