@@ -160,6 +160,9 @@ def run(args: argparse.Namespace) -> int:
     for line in result.warnings:
         console.note(line)
     advice = _advice(problem, result) if args.advise else None
+    if not args.json:
+        _print(result, method, saved.version)
+        _print_truth(result, truth)
     report = Report(f"What {saved.version} knows", f"Posterior of {model.version}, inferred by {method.name}.")
     add_kept_ladder(report, model, store.history(model.rig))
     add_inference(report, result, method, truth, advice)
@@ -171,8 +174,6 @@ def run(args: argparse.Namespace) -> int:
         )
         console.emit({**as_json(result, saved.version), **beside, **advised, "report": str(path)})
     else:
-        _print(result, method, saved.version)
-        _print_truth(result, truth)
         unknown = [e.name for e in result.estimates if not e.identified]
         if method.judges and result.fits and unknown and advice is None:
             print(f"next: the same with --advise says which motions would tell {', '.join(unknown)}")
@@ -291,10 +292,9 @@ def _print(result: "Result", method: "Method", version: str) -> None:
     )
     if method.judges and result.ess < LEAST_ESS:
         print(f"fewer than {LEAST_ESS} effective particles tell nothing; more particles or generations are needed")
-    if method.judges and not any(e.identified for e in result.estimates):
-        nothing = "nothing" if result.prior is None else f"nothing beyond what {result.model.version} says"
-        print(
-            f"{nothing} is told, and {version} is the newest version now; ./tcbi model {version} --delete undoes that"
-        )
+    if not any(e.identified for e in result.estimates):
+        beyond = "" if result.prior is None else f" beyond what {result.model.version} says"
+        nothing = f"nothing is told{beyond}, and " if method.judges else ""
+        print(f"{nothing}{version} is the newest version now; ./tcbi model {version} --delete undoes that")
     if method.caveat:
         print(method.caveat)

@@ -201,7 +201,7 @@ class _Loop:
         self.last = Generation(np.nan, np.nan, np.zeros(len(self.statistics)), {})
         self.begun = time.monotonic()
         self.here = 0  # generations run by this process
-        self.simulated = self.diverged = 0  # particles, by this process
+        self.simulated = self.diverged = 0  # particles of this generation
 
     def _begin(self) -> tuple[Any, list[dict[str, Any]], bool]:
         if self.place is not None:
@@ -225,6 +225,7 @@ class _Loop:
         while not self.method.finished(self.state, self.settings):
             rng, began = np.random.default_rng([self.seed, self.state.generation + 1]), time.monotonic()
             self._tell(0.0)
+            self.simulated = self.diverged = 0
             self.state, found = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
             self.last = self._told(found)
             self.here += 1
@@ -261,6 +262,8 @@ class _Loop:
                 **self._moments(*self._posterior()),
                 "divergence": self.last.divergence.tolist(),
                 "wall_s": wall_s,
+                "particles": self.simulated,
+                "diverged": self.diverged,
                 **self.last.notes,
             }
         )
@@ -319,14 +322,17 @@ class _Loop:
             history[-1] = {**history[-1], "alpha": last.alpha / distrust, **self._moments(unit, log_weights)}
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged or fits is False else unfinished(last)
-        if several := modes.told(model.parameters, unit, np.exp(log_weights)):
+        several = modes.told(model.parameters, unit, np.exp(log_weights)) if self.method.judges else ""
+        if several:
             lines.append(f"the posterior has {several}; a mean and an interval do not show that, the report does")
-        if self.diverged:
+        particles, diverged = (sum(entry.get(name, 0) for entry in history) for name in ("particles", "diverged"))
+        if diverged:
             lines.append(
-                f"{self.diverged} of {self.simulated} particles diverged in a rollout and weigh nothing: the model is "
+                f"{diverged} of {particles} particles diverged in a rollout and weigh nothing: the model is "
                 "unstable there, or the time step too long (--timestep)"
             )
-        judged = self.method.judges and fits is True
+        doubtful = problem.prior is not None and model.fit.fits is not True  # then so is whatever rests on it
+        judged = self.method.judges and fits is True and not doubtful
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = (self.method.simulations(self.state, self.settings) + seen.particles) * len(problem.rollout_ids)
         seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)
