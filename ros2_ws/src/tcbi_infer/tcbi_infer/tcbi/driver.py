@@ -322,8 +322,8 @@ class _Loop:
             history[-1] = {**history[-1], "alpha": last.alpha / distrust, **self._moments(unit, log_weights)}
         lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged or fits is False else unfinished(last)
-        several = modes.told(model.parameters, unit, np.exp(log_weights)) if self.method.judges else ""
-        if several:
+        copies = 2 * len(np.unique(unit, axis=0)) < len(unit)  # of few particles, after a resampling
+        if not copies and (several := modes.told(model.parameters, unit, np.exp(log_weights))):
             lines.append(f"the posterior has {several}; a mean and an interval do not show that, the report does")
         particles, diverged = (sum(entry.get(name, 0) for entry in history) for name in ("particles", "diverged"))
         if diverged:
