@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from tcbi_contract.plain import plain
 from tcbi_dashboard.drawing import Ground, ground_quaternion
 from tcbi_dashboard.names import COMPARISON, SUMMARY
 from tcbi_infer.compare.comparison import Comparison
@@ -33,6 +34,7 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
+DECIMALS = 6  # that numbers keep in JSON
 KEPT = 5  # comparisons; older ones are removed
 MOMENTS, WORST_S = 12, 1.5  # how many worst moments, and how long each is in s
 
@@ -63,7 +65,7 @@ def write(
         for r in range(len(comparison.rollouts)):
             (work / f"{r}.bin").write_bytes(_rollout(comparison, also, motion, ground, r))
         more = {"ladder": [dataclasses.asdict(r) for r in rungs], "report": report}
-        text = json.dumps(_plain({**_summary(comparison, also), **more}))
+        text = json.dumps(plain({**_summary(comparison, also), **more}, DECIMALS))
         (work / SUMMARY).write_text(text, encoding="utf-8")
         final = folder / f"{COMPARISON}{model.version}-{stamp}"
         os.rename(work, final)
@@ -201,7 +203,7 @@ def _rollout(c: Comparison, also: Comparison | None, motion: SimulatedRollouts, 
 def encode(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> bytes:
     """A JSON header and named float32 arrays as one piece."""
     listed = [{"name": name, "shape": list(values.shape)} for name, values in arrays.items()]
-    text = json.dumps(_plain({**header, "arrays": listed})).encode()
+    text = json.dumps(plain({**header, "arrays": listed}, DECIMALS)).encode()
     text += b" " * (-len(text) % 4)
     return b"".join([struct.pack("<I", len(text)), text, *(v.astype("<f4").tobytes() for v in arrays.values())])
 
@@ -216,16 +218,3 @@ def decode(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         arrays[entry["name"]] = np.frombuffer(data, "<f4", count, at).reshape(entry["shape"])
         at += 4 * count
     return header, arrays
-
-
-def _plain(value: Any) -> Any:
-    """As JSON knows it: NaN and infinity as None."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return round(float(value), 6) if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value

@@ -14,9 +14,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
-import numpy as np
-
 from tcbi_contract.errors import TcbiError
+from tcbi_contract.plain import plain
 
 STOP_TIMEOUT_S = 5.0
 NICENESS = 10  # of a worker: a robot may move in real time beside it
@@ -100,7 +99,7 @@ def serve(run: Callable[[str, Emit], None]) -> int:
     out, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints must not mix with the events
 
     def emit(event: str, **content: Any) -> None:
-        out.write(json.dumps({"event": event, **finite(content)}) + "\n")
+        out.write(json.dumps({"event": event, **plain(content)}) + "\n")
         out.flush()
 
     try:
@@ -114,14 +113,3 @@ def serve(run: Callable[[str, Emit], None]) -> int:
         return 1
     except KeyboardInterrupt:  # ended
         return 1
-
-
-def finite(value: Any) -> Any:
-    """NaN and infinity as None, which JSON knows."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value

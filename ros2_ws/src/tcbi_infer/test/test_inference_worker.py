@@ -16,13 +16,14 @@ import pytest
 from builtin_interfaces.msg import Time
 from tcbi_cases import bench_rollouts
 
+from tcbi_contract.plain import plain
 from tcbi_infer import inference_worker, rollout_folder
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.recovery import recover
 from tcbi_infer.errors import BagError
 from tcbi_infer.inference_worker import DIAGNOSE, INFER, Job, moved, run_inference, usable
 from tcbi_infer.rollout_folder import QUIET_S, RolloutFolder
-from tcbi_infer.worker_process import Worker, finite, serve
+from tcbi_infer.worker_process import Worker, serve
 from tcbi_sim.model import base_model
 from tcbi_sim.store import ModelStore
 from tcbi_sim.workers import present
@@ -138,7 +139,7 @@ def test_an_inference_judges_before_and_after_on_rollouts_that_it_did_not_fit(ba
     before, after = (content for kind, content in events if kind == "model_error")
     assert (before["model"], after["model"]) == ("servo_bench-v0", "servo_bench-v1")
     assert not set(after["rollouts"]) & set(found["source_rollouts"])
-    assert np.isfinite(found["moved"]) and json.loads(json.dumps(finite(found)))
+    assert np.isfinite(found["moved"]) and json.loads(json.dumps(plain(found)))
     assert ModelStore(tmp_path / "store").load("servo_bench-v1").evidence["inference"]["method"] == "calibrated"
 
 

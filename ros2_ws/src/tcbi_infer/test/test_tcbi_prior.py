@@ -184,6 +184,8 @@ def test_a_parameter_that_is_not_told_says_what_stands_in_the_way():
     unsure = dataclasses.replace(e, variance_ratio=0.4)
     assert told_by_data(unsure, flat, method) == "not surely"
     assert told_by_data(dataclasses.replace(unsure, identified=True), flat, method) == "yes"
+    rests_on = dataclasses.replace(result, model=made_by("calibrated", fits=False))
+    assert told_by_data(unsure, rests_on, method) == "not told: the prior is doubtful"
 
 
 def test_variances_over_the_generations_are_compared_with_the_prior_that_was_used():

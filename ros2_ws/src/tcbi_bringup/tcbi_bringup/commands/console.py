@@ -19,17 +19,17 @@ Errors are raised as TcbiError; `cli` prints them in one line and exits with 1.
 
 import argparse
 import contextlib
-import dataclasses
 import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tcbi_bringup.arguments import at_least, folder_path
 from tcbi_bringup.progress import progress as progress
+from tcbi_contract.plain import plain
 
 if TYPE_CHECKING:
     from tcbi_bringup.robot_graph import GraphOptions
@@ -204,23 +204,6 @@ def store_folder(given: Path | None) -> Path:
     """The folder that `--store` stands for, absolute; the rule of `tcbi_sim.store`, without its imports."""
     default = Path(os.environ.get("TCBI_STORE") or Path.home() / ".local" / "share" / "tcbi")
     return (given or default).expanduser().absolute()
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON knows it: numpy as numbers and lists, dataclasses as objects, NaN and infinity as null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, (str, int, bool)) or value is None:
-        return value
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in (sorted(value) if isinstance(value, (set, frozenset)) else value)]
-    return str(value)
 
 
 STANDARD_OUTPUT, STANDARD_ERROR = 1, 2  # file descriptors

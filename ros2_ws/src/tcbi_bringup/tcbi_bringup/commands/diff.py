@@ -4,6 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from tcbi_bringup.commands import console
+from tcbi_contract.plain import plain
 
 if TYPE_CHECKING:
     from tcbi_infer.compare.versions import Difference, Interval
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     add_difference(report, difference)
     path = report.write(args.report or store.folder("reports") / f"diff-{before.version}-{after.version}.html")
     if args.json:
-        console.emit({**console.plain(difference), "report": str(path)})
+        console.emit({**plain(difference), "report": str(path)})
         return 0
     _print(difference)
     print(f"report: {path}")

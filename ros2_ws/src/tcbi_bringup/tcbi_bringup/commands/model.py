@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from tcbi_bringup.commands import console
 from tcbi_bringup.errors import WrongCallError
+from tcbi_contract.plain import plain
 
 if TYPE_CHECKING:
     from tcbi_sim.model import Model
@@ -80,7 +81,7 @@ def _show(args: argparse.Namespace, store: "ModelStore") -> int:
     model = store.load(args.version, args.rig or "hexapod")
     facts = _facts(model)
     spans = intervals(model)
-    parameters = [{"name": p.name, "unit": p.unit, **console.plain(spans[p.name])} for p in model.parameters]
+    parameters = [{"name": p.name, "unit": p.unit, **plain(spans[p.name])} for p in model.parameters]
     children = [m.version for m in store.history(model.rig) if m.parent == model.version]
     if args.json:
         console.emit({**facts, "parameters": parameters, "children": children})

@@ -15,9 +15,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tcbi_bringup.commands.console import plain
 from tcbi_bringup.errors import BringupError
 from tcbi_bringup.study.plan import Key
+from tcbi_contract.plain import plain
 from tcbi_sim.ray_workers import PACKAGES, code
 
 Result = dict[str, Any]

@@ -6,13 +6,13 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from tcbi_contract.plain import plain
 from tcbi_infer.compare.comparison import error_figure
 from tcbi_infer.compare.ladder import seen_by, was_seen
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.scorer import diverged
 from tcbi_infer.seen import used_before
-from tcbi_infer.worker_process import finite
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 
@@ -74,7 +74,7 @@ def remember(lines: Sequence[VersionError], folder: Path, rig: str, not_counted:
     }
     path = folder / f"{PREFIX}{rig}.json"
     work = path.with_suffix(".part")
-    work.write_text(json.dumps(finite(content)), encoding="utf-8")
+    work.write_text(json.dumps(plain(content)), encoding="utf-8")
     os.replace(work, path)
     return path
 

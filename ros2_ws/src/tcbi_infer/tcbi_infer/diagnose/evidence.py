@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tcbi_contract.plain import plain
 from tcbi_contract.wording import with_unit
 
 EFFECT, CANNOT_TELL = "effect", "cannot_tell"
@@ -333,7 +334,7 @@ class Diagnosis:
 
     def moments_json(self) -> list[dict[str, Any]]:
         """The moments, to five digits."""
-        return [_short(_plain(moment)) for moment in self.moments]
+        return [_short(plain(moment)) for moment in self.moments]
 
     @property
     def headline(self) -> str:
@@ -369,7 +370,7 @@ class Diagnosis:
             if f.name not in ("moments", "ranking", "base")
         }
         ranking = [e.to_json() for e in self.ranking]
-        return _plain({
+        return plain({
             "headline": self.headline, "nothing_held_out": self.nothing_held_out,
             "reassuring": self.reassuring,
             **fields, "ranking": ranking, "base": self.base.to_json(),
@@ -388,18 +389,3 @@ def _short(value: Any) -> Any:
 def step_label(name: str) -> str:
     """What a step of the error ladder is called: `unfitted`, `base`, or the uses of effects added."""
     return {"unfitted": "model as it was", "base": "model, parameters fitted"}.get(name, f"with {name}")
-
-
-def _plain(value: Any) -> Any:
-    """Tuples to lists, numpy to Python, NaN and infinity to None, so that any JSON reader takes it."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return _plain(dataclasses.asdict(value))
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, (tuple, list, np.ndarray)):
-        return [_plain(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, (np.bool_, np.integer)):
-        return value.item()
-    return value

@@ -8,6 +8,7 @@ import numpy as np
 
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_infer.report.plots import BLUE, GREY, INK, ORANGE, STYLE, canvas, to_svg
+from tcbi_infer.tcbi.prior import doubtful
 from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, LEAST_ESS
 
 if TYPE_CHECKING:
@@ -100,6 +101,8 @@ def told_by_data(estimate: "Estimate", result: "Result", method: "Method") -> st
         return "cannot say: too few generations"
     if not result.fits:
         return "not told: the model fits poorly"
+    if result.prior is not None and doubtful(result.model):
+        return "not told: the prior is doubtful"
     if result.ess < LEAST_ESS:
         return "cannot say"
     if estimate.identified:

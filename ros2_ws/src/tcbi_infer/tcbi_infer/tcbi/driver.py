@@ -26,6 +26,7 @@ from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.pooled import JS
 from tcbi_infer.tcbi.predictive import Departures, departures
+from tcbi_infer.tcbi.prior import doubtful
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import (
     Result,
@@ -331,8 +332,7 @@ class _Loop:
                 f"{diverged} of {particles} particles diverged in a rollout and weigh nothing: the model is "
                 "unstable there, or the time step too long (--timestep)"
             )
-        doubtful = problem.prior is not None and model.fit.fits is not True  # then so is whatever rests on it
-        judged = self.method.judges and fits is True and not doubtful
+        judged = self.method.judges and fits is True and not (self.known is not None and doubtful(model))
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = (self.method.simulations(self.state, self.settings) + seen.particles) * len(problem.rollout_ids)
         seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)

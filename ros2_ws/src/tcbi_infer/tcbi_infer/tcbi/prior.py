@@ -75,6 +75,11 @@ class Prior:
         return from_probit(self.means[mode] + to_probit(np.column_stack([first, cube[:, 1:]])) @ self.root.T)
 
 
+def doubtful(model: Model) -> bool:
+    """Whether a version's own fit gives reason to doubt it, so that nothing that rests on it is sure."""
+    return model.fit.fits is not True
+
+
 def about(model: Model, prior: str) -> list[str]:
     """What a user should know of the prior."""
     if prior != MODEL:
