@@ -6,12 +6,15 @@ parser.add_argument("--port", type=between(1, 65_535))
 parser.add_argument("--namespace", type=namespace)         # without slashes at its ends
 parser.add_argument("--robots", type=not_empty)
 parser.add_argument("--diagnosis", type=existing_file)
+parser.add_argument("--report", type=new_file)
 parser.add_argument("--store", type=folder_path)           # there, or to be made
 """
 
 import argparse
+import errno
 import math
 import re
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -77,6 +80,20 @@ def namespace(text: str) -> str:
             f"got {text!r}, allowed are letters, digits and _, with / between parts that begin with no digit"
         )
     return name
+
+
+def new_file(text: str) -> Path:
+    """A file that can be written, tried before hours of work; folders on the way need not be there yet."""
+    path = Path(text).expanduser()
+    there = next(folder for folder in path.absolute().parents if folder.exists())
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as e:
+        raise argparse.ArgumentTypeError(f"got {text!r}, which cannot be written: {e.strerror}; name a file") from None
+    return path
 
 
 def existing_file(text: str) -> Path:

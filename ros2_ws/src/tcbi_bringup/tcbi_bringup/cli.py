@@ -260,7 +260,7 @@ def store_of(args: argparse.Namespace) -> Iterator[None]:
     before, given = os.environ.get("TCBI_STORE"), getattr(args, "store", None)
     if given is not None:
         if not Path(given).expanduser().exists():
-            print(f"note: the store {given} was not there; it is a new one", file=sys.stderr)
+            print(f"note: there is no store at {given} yet", file=sys.stderr)
         os.environ["TCBI_STORE"] = str(Path(given).expanduser().absolute())
     elif before and hasattr(args, "store"):
         try:

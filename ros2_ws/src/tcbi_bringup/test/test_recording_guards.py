@@ -11,7 +11,7 @@ from tcbi_infer.collection import Request, scenario_of
 from tcbi_infer.compare.clocks import Following, aligned
 from tcbi_infer.compare.common_lag import common_lag
 from tcbi_infer.compare.comparison import compare
-from tcbi_infer.compare.guards import guard
+from tcbi_infer.compare.guards import guard, to_mend
 from tcbi_infer.compare.signals import Layout
 from tcbi_policy.gaits import Gait
 from tcbi_sim.measurement import Measurement
@@ -164,6 +164,18 @@ def test_a_planted_fault_is_named(clean, fault):
     plant, words = FAULTS[fault]
     findings = guard([plant(m) for m in clean])
     assert any(words in finding for finding in findings), findings
+
+
+@pytest.mark.parametrize("fault", ["mirrored joint", "swapped joints", "degrees", "centred encoder counts", "echo"])
+def test_physics_is_not_fitted_to_wrong_wiring_or_units(clean, fault):
+    plant, words = FAULTS[fault]
+    assert words in to_mend([plant(m) for m in clean])[0]
+    assert to_mend([plant(clean[0]), *clean[1:]]) == [], "one rollout of four is no reason to look at none"
+
+
+def test_nothing_is_to_be_mended_in_a_sound_recording_whatever_the_robot_lacks(clean):
+    for rollouts in (clean, recorded(LATENCY), recorded("weak_leg"), recorded("backlash")):
+        assert to_mend(rollouts) == []
 
 
 def test_a_repeat_that_is_late_as_a_whole_is_set_right(clean):

@@ -12,6 +12,7 @@ import gzip
 import io
 import json
 import math
+import reprlib
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
@@ -190,7 +191,11 @@ def _stamps(tables: _Tables, signal: Signal, mapping: Mapping) -> np.ndarray:
     """(N,) ns."""
     values = _numbers(tables, signal, signal.time or mapping.time_column)
     if not np.isfinite(values).all():
-        raise MappingError(f"{tables.log}: {int(np.sum(~np.isfinite(values)))} samples have no time; remove them")
+        untimed = np.flatnonzero(~np.isfinite(values))
+        raise MappingError(
+            f"{tables.log}: {counted(len(untimed), 'sample')} without a time, the first is sample {untimed[0] + 1}; "
+            "remove them"
+        )
     return np.rint(values * mapping.time_scale * 1e9).astype(np.int64)
 
 
@@ -210,10 +215,15 @@ def _rows(tables: _Tables, signal: Signal, mapping: Mapping) -> np.ndarray:
 
 
 def _numbers(tables: _Tables, signal: Signal, name: str) -> np.ndarray:
-    try:
-        return np.array([_number(value) for value in tables.column(signal, name)], float)
-    except (TypeError, ValueError, OverflowError) as e:
-        raise MappingError(f"{tables.log}: column {name!r} holds something that is no number ({e})") from e
+    found = []
+    for row, value in enumerate(tables.column(signal, name), start=1):
+        try:
+            found.append(_number(value))
+        except (TypeError, ValueError, OverflowError) as e:
+            raise MappingError(
+                f"{tables.log}: sample {row} of column {name!r} is no number: {reprlib.repr(value)}; mend or remove it"
+            ) from e
+    return np.array(found, float)
 
 
 def _number(value: Any) -> float:
@@ -235,7 +245,9 @@ def _lists(tables: _Tables, signal: Signal, least: int) -> np.ndarray:
                 raise TypeError("no list")
             found.append([_number(v) for v in values or ()])
         except (TypeError, ValueError, OverflowError, RecursionError) as e:
-            raise MappingError(f"{tables.log}: sample {row} of {name!r} is no list of numbers: {value!r}") from e
+            raise MappingError(
+                f"{tables.log}: sample {row} of {name!r} is no list of numbers: {reprlib.repr(value)}"
+            ) from e
     widths = sorted({len(values) for values in found if values})
     if len(widths) != 1 or widths[0] < least:
         raise MappingError(

@@ -59,6 +59,7 @@ def dataset(result: Result) -> "xr.DataTree":
             "ess": result.ess,
             "simulations": result.simulations,
             "converged": int(result.converged),
+            "settings": json.dumps(result.settings),
             "warnings": json.dumps(result.warnings),
         }
     )

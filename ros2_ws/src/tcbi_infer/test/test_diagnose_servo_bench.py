@@ -192,3 +192,14 @@ def test_an_effect_that_the_model_has_is_not_shown_again(late, monkeypatch):
     rollouts = record(truth, np.r_[BASE, 0.06])[:4]
     found = diagnose(adopted(late), rollouts, uses=["rotor_inertia"], settings=QUICK, show=["command_latency"])
     assert not [m for m in found.next_motions if "command_latency" in m.between]
+
+
+def test_no_effect_is_tried_on_a_mirrored_joint_unless_it_is_insisted_on():
+    base = base_model("servo_bench")
+    mirrored = [dataclasses.replace(m, joint_position=-m.joint_position) for m in record(base, BASE)]
+    found = diagnose(base, mirrored, uses=["command_latency"])
+    assert (found.verdict, found.uses, found.ranking) == ("cannot_tell", (), ())
+    assert "its sign may be mirrored" in found.statement and "no effect was tried" in found.statement
+    assert found.next_motions == ()
+    insisted = diagnose(base, mirrored, uses=["command_latency"], settings=Settings(trust_recording=True))
+    assert insisted.verdict == "outside_library" and "no effect was tried" not in insisted.statement

@@ -31,6 +31,7 @@ NOISE = np.random.default_rng(0).normal(0, 0.05, POSITION.shape)
         (0.03 * VELOCITY, "lag", -0.03, "leads the prediction by 30 ms"),
         (np.full_like(POSITION, -1.2), "offset", -1.2, "reads 1.2 deg less than predicted"),
         (-0.1 * POSITION, "gain", -0.1, "moves 10 % too little"),
+        (-2.0 * POSITION, "gain", -2.0, "moves against the prediction"),
         (0.4 * (POSITION - ASKED), "droop", 0.4, "gives way under load 40 % more than predicted"),
         (-0.8 * np.sign(VELOCITY), "hysteresis", 0.8, "trails by 0.8 deg whichever way it moves"),
         (20 * NOISE, "scatter", 1.05, "scatters by 1.1 deg about the prediction"),

@@ -294,3 +294,20 @@ def policy_paths(store_root: Path | None = None) -> dict[str, Path]:
     """Name to file of every policy that is shipped or in the store."""
     folders = [SHIPPED] + ([store_root / "policies"] if store_root else [])
     return {path.stem: path for folder in folders for path in sorted(folder.glob("*.safetensors"))}
+
+
+def newest_policy(task: str, store_root: Path) -> tuple[str, list[PolicyError]]:
+    """The name of the newest policy for a task in the store, or the shipped one of the task's name; and whom it passes
+    over because they cannot be read.
+
+    Raises:
+      PolicyNotFound: there is neither.
+    """
+    paths = policy_paths(store_root)
+    own, faults = load_all({name: path for name, path in paths.items() if path.is_relative_to(store_root)})
+    made = {name: policy.card.created for name, policy in own.items() if policy.card.task == task}
+    if made:
+        return max(made, key=lambda name: made[name]), faults
+    if task in paths:
+        return task, faults
+    raise PolicyNotFound(f"no policy for task {task!r} exists; make one with ./tcbi train --task {task}")

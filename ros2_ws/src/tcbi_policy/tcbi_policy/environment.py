@@ -119,9 +119,14 @@ class HexapodVectorEnv(VectorEnv):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start the episodes of the present generation, or of the next one if steps of it have been taken.
 
-        A seed starts again from generation 0.
+        A seed starts again from generation 0; it is one for all episodes, as Gymnasium's VectorEnv has it.
+
+        Raises:
+          ValueError: the seed is no whole number from 0.
         """
         if seed is not None:
+            if not isinstance(seed, int | np.integer) or seed < 0:
+                raise ValueError(describe("seed", seed, "one whole number from 0, for all episodes together"))
             self._seed, self.generation = int(seed), 0
         elif self._taken and self.generation == self._begun:
             self.generation += 1
@@ -145,11 +150,14 @@ class HexapodVectorEnv(VectorEnv):
 
         Raises:
           ResetNeeded: no episode has begun.
-          ValueError: an action is NaN or infinite.
+          ValueError: the actions are of another shape, or one is NaN or infinite.
         """
         if self._begun is None:
             raise ResetNeeded("no episode has begun; call reset() before step()")
         action = np.asarray(action, float)
+        if action.shape != self.action_space.shape:
+            expected = f"{self.action_space.shape}, a value for each joint of each episode"
+            raise ValueError(describe("shape of the actions", action.shape, expected))
         if not np.isfinite(action).all():
             raise ValueError(describe("action", action[~np.isfinite(action)][0], "finite numbers"))
         target = self.limit * (np.tanh(action) if self._squash else np.clip(action, -1.0, 1.0))

@@ -22,7 +22,7 @@ from tcbi_contract.parameters import declare, parameter
 from tcbi_contract.running import run
 from tcbi_msgs.action import Retrain
 from tcbi_msgs.srv import LoadPolicy
-from tcbi_policy.retraining import Event, Job, Outcome, for_another_task, reference_of, retrain
+from tcbi_policy.retraining import Event, Job, Outcome, reference_of, retrain, rival_for
 from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
@@ -86,7 +86,8 @@ class RetrainNode(Node):
     def _execute(self, handle: ServerGoalHandle) -> Retrain.Result:
         result = Retrain.Result(return_before=math.nan, return_after=math.nan)
         try:
-            job = self._job(handle.request, self._rival(handle))
+            in_use = self._in_use_now(handle)
+            job = self._job(handle.request, in_use)
             self.get_logger().info(f"training for {job.task} on model {job.model}, against {job.current}")
             outcome = retrain(
                 job,
@@ -94,7 +95,7 @@ class RetrainNode(Node):
                 lambda: bool(handle.is_cancel_requested) or self._closing,
                 self._process,
             )
-            self._finish(handle, result, outcome, job)
+            self._finish(handle, result, outcome, job.task, in_use)
         except (TcbiError, OSError) as error:  # OSError: a full disk, no memory for the process
             result.message = str(error)
             self.get_logger().error(result.message)
@@ -134,8 +135,8 @@ class RetrainNode(Node):
         if self._waiting is not None:
             self._waiting.close()
 
-    def _rival(self, handle: ServerGoalHandle) -> str:
-        """Id of what a new policy must beat: in use, or back in use after a recording; "" while no policy node runs."""
+    def _in_use_now(self, handle: ServerGoalHandle) -> str:
+        """Id of the policy in use, or back in use after a recording; "" while no policy node runs."""
         if not self._load.service_is_ready():
             return self._in_use
         answer = self._load.call_async(LoadPolicy.Request())
@@ -144,10 +145,11 @@ class RetrainNode(Node):
         response = answer.result()
         return str(response.lender or response.policy_id)
 
-    def _job(self, goal: Retrain.Goal, rival: str) -> Job:
-        current = reference_of(rival, self._store) if rival else self.values.fallback_policy
+    def _job(self, goal: Retrain.Goal, in_use: str) -> Job:
+        standing = reference_of(in_use, self._store) if in_use else self.values.fallback_policy
+        rival = rival_for(goal.task, standing, self._store)
         return Job(
-            task=goal.task, current=current, start=goal.policy, model=goal.model or LATEST, store=self._store,
+            task=goal.task, current=rival, start=goal.policy, model=goal.model or LATEST, store=self._store,
             budget_s=goal.budget_s, budget_steps=goal.budget_steps, seed=goal.seed, threads=self.values.threads,
         )  # fmt: skip
 
@@ -170,7 +172,9 @@ class RetrainNode(Node):
         elif event["event"] in ("resumed", "restarted"):
             self.get_logger().warning(f"training {event['event']}: {event.get('reason', 'from its last checkpoint')}")
 
-    def _finish(self, handle: ServerGoalHandle, result: Retrain.Result, outcome: Outcome, job: Job) -> None:
+    def _finish(
+        self, handle: ServerGoalHandle, result: Retrain.Result, outcome: Outcome, task: str, in_use: str
+    ) -> None:
         result.accepted, result.policy, result.message = outcome.accepted, outcome.path, outcome.message
         result.return_before, result.return_after = outcome.return_before, outcome.return_after
         if outcome.cancelled:
@@ -178,11 +182,11 @@ class RetrainNode(Node):
             return
         result.success = True
         if outcome.accepted:
-            result.message += f"; {self._swap(handle, outcome, job.task)}"
+            result.message += f"; {self._swap(handle, outcome, task, in_use)}"
         self.get_logger().info(result.message)
         handle.succeed()
 
-    def _swap(self, handle: ServerGoalHandle, outcome: Outcome, task: str) -> str:
+    def _swap(self, handle: ServerGoalHandle, outcome: Outcome, task: str, in_use: str) -> str:
         """Ask the policy node to have it take its rival's place; what came of it, in words.
 
         Who cancels after the comparison has a verdict, but no other policy on the robot.
@@ -193,8 +197,8 @@ class RetrainNode(Node):
             return f"kept as {reference}, not loaded: cancelled after the comparison"
         if not there:
             return f"kept as {reference}: no policy node runs that could take it"
-        if why_not := for_another_task(outcome.rival, task, self._store):
-            return f"kept as {reference}: {why_not}"
+        if in_use not in ("", outcome.rival):
+            return f"kept as {reference}: {in_use}, which is in use, is no policy for {task}"
         answer = self._load.call_async(LoadPolicy.Request(policy=reference, replaces=outcome.rival))
         if not self._comes(handle, answer.done):
             cancelled = ", cancelled while it was asked to take it" if handle.is_cancel_requested else ""

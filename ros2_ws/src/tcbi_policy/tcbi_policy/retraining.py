@@ -30,6 +30,7 @@ from tcbi_policy.artefact import (
     load_policy,
     locked,
     name_of,
+    newest_policy,
     policy_paths,
     save_policy,
 )
@@ -88,14 +89,17 @@ def plan(job: Job) -> Run:
     """The training run of a job.
 
     Raises:
-      TcbiError: an unknown task, model or policy, or a policy of another task to start from.
+      TcbiError: an unknown task, model or policy, or a policy of another task to beat or to start from.
     """
     store = ModelStore(job.store)
     model = store.load(job.model)
     check_rig(job.current, model)
     current = find_policy(job.current, store.root)
-    start = _start(job, store.root)
     config = preset("fast", job.task)
+    if isinstance(current, Policy) and current.card.task != job.task:
+        remedy = f"whose return on {job.task} can be beaten: name one that ./tcbi policy lists"
+        raise TrainingError(describe(f"task of policy {job.current}", current.card.task, job.task, remedy))
+    start = _start(job, store.root)
     begun = find_policy(start, store.root) if start else None
     if isinstance(begun, Policy):
         check_start(config, begun)
@@ -138,8 +142,6 @@ def _start(job: Job, root: Path) -> str:
     if not isinstance(policy, Policy):
         raise TrainingError(describe("policy to start from", reference, "a trained policy, or none for scratch"))
     if policy.card.task != job.task:
-        if not job.start:
-            return ""  # the policy in use does something else, which is no start for this task
         raise TrainingError(describe(f"task of policy {reference}", policy.card.task, job.task, "or start from none"))
     return reference
 
@@ -266,21 +268,14 @@ def next_name(root: Path, task: str) -> str:
     return next(name for name in (f"{task}-{n}" for n in range(1, len(taken) + 2)) if name not in taken)
 
 
-def for_another_task(rival: str, task: str, root: Path) -> str:
-    """ "", or why a successor must not take its rival's place: that is for another task, or it is not known for which.
+def rival_for(task: str, reference: str, root: Path) -> str:
+    """The policy itself, or the newest one for this task where it is for another: what a successor must beat.
 
-    Args:
-      rival: id of the policy or gait that the successor was compared with.
-      task: of the successor.
-      root: of the store.
+    Raises:
+      PolicyError: there is none.
     """
-    try:
-        policy = find_policy(reference_of(rival, root), root)
-    except PolicyError as error:
-        return f"for which task {rival} is, is not known: {error}"
-    if isinstance(policy, Policy) and policy.card.task != task:
-        return f"{rival} is a policy for {policy.card.task}"
-    return ""
+    policy = find_policy(reference, root)
+    return newest_policy(task, root)[0] if isinstance(policy, Policy) and policy.card.task != task else reference
 
 
 def reference_of(policy_id: str, root: Path) -> str:

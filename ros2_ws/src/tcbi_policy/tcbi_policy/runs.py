@@ -135,7 +135,7 @@ def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
     One whose parent was killed ends by itself; so long it is waited for.
 
     Raises:
-      TrainingError: another one trains there and goes on.
+      TrainingError: another one trains there and goes on, or has ended the run meanwhile.
     """
     deadline = time.monotonic() + patience_s
     with (folder / SPEC).open() as file:
@@ -149,9 +149,19 @@ def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
                         f"{folder}: another process trains this run; wait for its end, or choose another name or seed"
                     ) from None
                 time.sleep(0.1)
+        if not (folder / SPEC).exists():
+            raise TrainingError(ended_meanwhile(folder))
         for temporary in folder.glob(".*.[0-9]*"):  # of `replace_file`
             temporary.unlink(missing_ok=True)
         yield
+
+
+def ended_meanwhile(folder: Path) -> str:
+    """What to tell where a run's folder is gone: who asked for the same run has got its result."""
+    return (
+        f"{folder}: the same training has ended meanwhile, in another process; ./tcbi policy lists what came of it, "
+        "and the same command trains anew"
+    )
 
 
 class TrainingProcess:

@@ -26,7 +26,7 @@ from tcbi_policy.errors import TrainingError
 from tcbi_policy.evaluation import Comparison, Evaluation, compare_paired, draw_conditions, evaluate, noisy
 from tcbi_policy.randomisation import divided, randomised
 from tcbi_policy.retraining import AGAIN, OUTCOME
-from tcbi_policy.runs import ERRORS, FAILED, LOADED, Run, alone
+from tcbi_policy.runs import ERRORS, FAILED, LOADED, Run, alone, ended_meanwhile
 from tcbi_policy.training import Report, Training
 from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
@@ -152,6 +152,8 @@ def _told(error: TcbiError | OSError, folder: Path) -> str:
     """What was at fault and what to do, in one line."""
     if isinstance(error, TcbiError):
         return " ".join(str(error).split())
+    if isinstance(error, FileNotFoundError) and not folder.exists():
+        return ended_meanwhile(folder)
     return (
         f"{error.filename or folder}: {error.strerror or error}; see that there is room on the disk and that it can be "
         "written; the same training then goes on from its last checkpoint"

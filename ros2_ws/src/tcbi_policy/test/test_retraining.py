@@ -24,7 +24,7 @@ from tcbi_policy.errors import PolicyMisfit, PolicyNotFound, TrainingError
 from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import divided, randomised
-from tcbi_policy.retraining import OUTCOME, for_another_task, next_name, plan, publish, reference_of, retrain
+from tcbi_policy.retraining import OUTCOME, next_name, plan, publish, reference_of, retrain, rival_for
 from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_policy.training import Training
 from tcbi_policy.training_process import ACCEPTANCE_SEED, compare_held_out, train_run
@@ -45,9 +45,8 @@ def test_a_trained_policy_is_where_training_goes_on_unless_scratch_is_asked_for(
 
 
 def test_a_policy_of_another_task_is_no_start(tmp_path: Path) -> None:
-    assert plan(job(tmp_path, task="forward")).start == ""
-    with pytest.raises(TrainingError, match="balance"):
-        plan(job(tmp_path, task="forward", start="balance"))
+    with pytest.raises(TrainingError, match="task of policy balance: got 'balance', allowed is forward"):
+        plan(job(tmp_path, task="forward", current="gait:tripod", start="balance"))
     with pytest.raises(TrainingError, match="trained policy"):
         plan(job(tmp_path, start="gait:stand"))
 
@@ -344,12 +343,12 @@ def test_a_policy_id_stands_for_a_name_only_as_long_as_the_name_holds_it(tmp_pat
         reference_of("balance@00000000", tmp_path)
 
 
-def test_a_result_takes_the_place_of_a_rival_for_its_own_task_alone(tmp_path: Path) -> None:
-    balance, forward = (find_policy(name).policy_id for name in ("balance", "forward"))
-    for rival in (balance, "gait:stand"):
-        assert for_another_task(rival, "balance", tmp_path) == ""
-    assert for_another_task(forward, "balance", tmp_path) == f"{forward} is a policy for forward"
-    assert "not known" in for_another_task("balance@00000000", "balance", tmp_path)
+def test_only_a_policy_for_the_task_is_a_rival(tmp_path: Path) -> None:
+    for rival in ("balance", "gait:stand"):
+        assert rival_for("balance", rival, tmp_path) == rival
+    assert rival_for("balance", "forward", tmp_path) == "balance"
+    with pytest.raises(TrainingError, match="task of policy forward"):
+        plan(dataclasses.replace(job(tmp_path), current="forward"))
 
 
 def test_a_policy_of_a_file_is_kept_in_the_store_once_and_found_by_its_id(tmp_path: Path) -> None:

@@ -3,57 +3,27 @@
 import dataclasses
 import itertools
 import math
-import os
-import re
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from training_cases import MODEL, TINY, Killed, train
 
 from tcbi_contract.names import CONTROL_RATE_HZ
 from tcbi_policy import imitation
 from tcbi_policy import training as training_module
-from tcbi_policy.artefact import Policy, load_policy
+from tcbi_policy.artefact import load_policy
 from tcbi_policy.configuration import PRESETS, TrainingConfig, preset
 from tcbi_policy.errors import TrainingError
 from tcbi_policy.gaits import CYCLES
 from tcbi_policy.imitation import next_posture
-from tcbi_policy.randomisation import divided
-from tcbi_policy.runs import Run, TrainingProcess, alone, write_run
+from tcbi_policy.runs import Run
 from tcbi_policy.stable_baselines import OBSERVATION_SCALE
 from tcbi_policy.training import Training
 from tcbi_sim.errors import UnknownNameError
-from tcbi_sim.model import Model, base_model
 from tcbi_sim.tasks import find_task
-
-MODEL = base_model("hexapod")
-KEPT, _ = divided(MODEL)  # the part of it that a training process draws from
-SUBPROCESS = pytest.mark.timeout(400)  # it imports torch, which takes its time on a busy machine
-TINY = TrainingConfig("balance", steps=480, environments=4, batch_size=40, epochs=2, evaluate_every=2, evaluations=2)
-
-
-class Killed(Exception):
-    """Stands for the end of the process."""
-
-
-def train(
-    folder: Path, config: TrainingConfig = TINY, die_after: int = -1, model: Model = MODEL, **options: Any
-) -> Policy:
-    folder.mkdir(exist_ok=True)
-    progress = 0
-
-    def report(event: dict[str, Any]) -> None:
-        nonlocal progress
-        progress += event["event"] == "progress"
-        if event["event"] == "progress" and progress == die_after:
-            raise Killed
-
-    return Training(folder, config, model, report=report, **options).run()
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
@@ -329,106 +299,3 @@ def test_presets_exist_for_both_tasks_and_the_papers_settings_are_the_papers() -
     assert paper.updates == paper.environments  # one update for each step
     with pytest.raises(UnknownNameError, match="fast, paper"):
         preset("quick", "balance")
-
-
-@SUBPROCESS
-def test_a_process_that_is_killed_says_so_and_the_next_one_ends_with_the_same_weights(tmp_path: Path) -> None:
-    whole = train(tmp_path / "whole", model=KEPT)
-    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0", str(tmp_path)))
-    with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="signal 9"):
-        for event in process.events():
-            if event["event"] == "progress" and event["steps"] >= 160:
-                os.kill(process.pid, signal.SIGKILL)
-    with TrainingProcess(folder) as process:
-        events = list(process.events())
-    assert events[0]["event"] == "resumed" and events[0]["steps"] >= 160
-    assert events[-1]["event"] == "done"
-    assert load_policy(Path(events[-1]["policy"])).card.sha256 == whole.card.sha256
-
-
-def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
-    write_run(tmp_path, Run(TINY, "hexapod-v0"))
-    with pytest.raises(TrainingError, match="another training run"):
-        write_run(tmp_path, Run(dataclasses.replace(TINY, seed=1), "hexapod-v0"))
-
-
-@SUBPROCESS
-def test_a_training_ends_with_the_process_that_asked_for_it_however_that_ends(tmp_path: Path) -> None:
-    folder = write_run(tmp_path / "run", Run(dataclasses.replace(TINY, steps=4_800_000), "hexapod-v0", str(tmp_path)))
-    code = (
-        "import sys, time; from pathlib import Path; from tcbi_policy.runs import TrainingProcess\n"
-        "process = TrainingProcess(Path(sys.argv[1])); print(process.pid, flush=True)\n"
-        "process.poll(100.0); print('trains', flush=True); time.sleep(600)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE, text=True) as parent:
-        assert parent.stdout is not None
-        pid, said = int(parent.stdout.readline()), parent.stdout.readline()
-        assert said == "trains\n"
-        parent.kill()
-    with alone(folder, patience_s=5.0):
-        assert not Path(f"/proc/{pid}").exists() or "Z" in Path(f"/proc/{pid}/stat").read_text().split()[2]
-
-
-@SUBPROCESS
-def test_a_failing_process_tells_its_last_line(tmp_path: Path) -> None:
-    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v99", str(tmp_path)))
-    with TrainingProcess(folder) as process, pytest.raises(TrainingError, match="hexapod-v99"):
-        list(process.events())
-
-
-FULL_DISK = """
-import errno, os
-from pathlib import Path
-
-sync = os.fsync
-
-def full(file):
-    path = Path(os.readlink(f"/proc/self/fd/{file}"))
-    if path.name.startswith(".checkpoint") and (path.parent / "checkpoint.safetensors").exists():
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    sync(file)
-
-os.fsync = full
-"""
-
-
-@SUBPROCESS
-def test_a_full_disk_is_told_and_the_training_goes_on_when_there_is_room(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = train(tmp_path / "whole", model=KEPT)
-    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0", str(tmp_path)))
-    (tmp_path / "sitecustomize.py").write_text(FULL_DISK)
-    words = f"status 1: {folder}: No space left on device; see that there is room"
-    with monkeypatch.context() as patch:
-        patch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-        with TrainingProcess(folder) as process, pytest.raises(TrainingError, match=re.escape(words)):
-            list(process.events())
-    assert not (folder / "errors.log").read_bytes(), "what is told needs no room on the disk"
-    with TrainingProcess(folder) as process:
-        events = list(process.events())
-    assert events[0]["event"] == "resumed"
-    assert load_policy(Path(events[-1]["policy"])).card.sha256 == whole.card.sha256
-
-
-def test_a_process_that_stands_by_ends_with_its_owner() -> None:
-    process = TrainingProcess()
-    process.close()
-    assert process.poll(5.0) == (None, True)
-
-
-def test_what_a_killed_training_left_half_written_is_gone_when_the_next_one_begins(tmp_path: Path) -> None:
-    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0"))
-    for name in (".checkpoint.safetensors.4711", ".replay-160.npz.4711", "checkpoint.safetensors"):
-        (folder / name).touch()
-    with alone(folder):
-        assert sorted(path.name for path in folder.iterdir()) == ["checkpoint.safetensors", "run.json"]
-
-
-def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
-    folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0"))
-    words = "another process trains this run"
-    with alone(folder), pytest.raises(TrainingError, match=words), alone(folder, patience_s=0.2):
-        pass
-    with alone(folder, patience_s=0.0):
-        pass

@@ -27,7 +27,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tcbi_bringup.arguments import at_least, folder_path
+from tcbi_bringup.arguments import at_least, folder_path, new_file
 from tcbi_bringup.progress import progress as progress
 from tcbi_contract.plain import plain
 
@@ -197,7 +197,7 @@ def note_model(asked: str, used: str) -> None:
 
 def add_report(parser: argparse.ArgumentParser) -> None:
     """`--report FILE`."""
-    parser.add_argument("--report", type=Path, metavar="FILE", help="the HTML report (default: in the store)")
+    parser.add_argument("--report", type=new_file, metavar="FILE", help="the HTML report (default: in the store)")
 
 
 def store_folder(given: Path | None) -> Path:

@@ -44,6 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     thorough.add_argument(
         "--quick", action="store_true", help="a first answer from few motions: coarse steps, no single joints, two fits"
     )
+    parser.add_argument(
+        "--trust-recording",
+        action="store_true",
+        help="search although the recordings look wrong: swapped or mirrored joints, other units, echoed commands",
+    )
     console.add_workers(parser)
     console.add_report(parser)
     parser.add_argument(
@@ -73,7 +78,11 @@ def run(args: argparse.Namespace) -> int:
             most=MOST if args.add else 1,
             uses=find_candidates(model, args.effects.split(",")) if args.effects else None,
             keep=store.save if args.add else None,
-            settings=dataclasses.replace(QUICK if args.quick else Settings(refine=args.refine), seed=args.seed),
+            settings=dataclasses.replace(
+                QUICK if args.quick else Settings(refine=args.refine),
+                seed=args.seed,
+                trust_recording=args.trust_recording,
+            ),
             progress=lambda stage, share: advance(done=round(100 * share), note=stage),
             show=find_candidates(model, args.show.split(",")) if args.show else (),
         ):

@@ -227,6 +227,7 @@ def as_json(result: "Result", version: str) -> dict[str, Any]:
         "closed_loop": result.closed_loop,
         "rollouts": result.rollouts,
         "divergence": result.divergence,
+        "settings": result.settings,
         "warnings": result.warnings,
     }
 
@@ -287,7 +288,11 @@ def _print(result: "Result", method: "Method", version: str) -> None:
     console.table(title, HEAD, posterior_rows(result, method))
     print(
         f"{result.simulations} rollouts simulated in {len(result.generations)} generations, {result.seconds:.0f} s, "
-        f"{result.ess:.0f} effective particles, "
+        + (
+            f"{result.ess:.0f} effective particles, "
+            if method.judges
+            else f"a posterior of {result.ess:.0f} particles, "
+        )
         + ("converged" if result.converged else "stopped by the number of generations")
     )
     if method.judges and result.ess < LEAST_ESS:

@@ -70,10 +70,11 @@ def run(args: argparse.Namespace) -> int:
         console.emit(facts)
     else:
         measured = facts.pop("measured", {})
-        for title, shown in ((policy.policy_id, facts), ("measured in simulations", measured)):
-            rows = [[key, value, UNITS.get(key, "")] for key, value in shown.items() if value != ""]
-            if rows:
-                console.table(title, ["what", "value", "unit"], rows)
+        card = _card(policy.card) if isinstance(policy, Policy) else []
+        found = [[[key, value, UNITS.get(key, "")] for key, value in shown.items()] for shown in (facts, measured)]
+        for title, rows in ((policy.policy_id, found[0]), ("card", card), ("measured in simulations", found[1])):
+            if told := [row for row in rows if row[1] not in ("", None)]:
+                console.table(title, ["what", "value", "unit"], told)
         print(POINTS)
     return 0
 
@@ -113,6 +114,25 @@ def _facts(policy: Any) -> dict[str, Any]:
     facts = {"policy_id": policy.policy_id, "path": str(policy.path), "steps": training.get("steps_taken")}
     facts |= {key: getattr(card, key) for key in ("task", "model", "parent", "created")}
     return facts | {key: training.get(key) for key in ("algorithm", "cpu_s", "seed", "mean_return", "best_steps")}
+
+
+def _card(card: Any) -> list[list[str]]:
+    """What a policy sees and sets, what it was trained on and with: rows of the table; --json has all the numbers."""
+    layout, training = card.layout, card.training
+    drawn = [
+        f"{name} {v['mean']:.3g} +- {v['sd']:.2g} {v['unit']}".removesuffix(" 1") for name, v in card.posterior.items()
+    ]
+    noise, effects = training.get("observation_noise", 0.0), training.get("effects", ())
+    also = [f"noise of {noise:g} rad on the observation"] * bool(noise) + [f"effect {name}" for name in effects]
+    return [
+        [f"observation ({len(layout.observation)})", ", ".join(layout.observation), layout.unit],
+        [f"action ({len(layout.action)})", ", ".join(layout.action), layout.unit],
+        ["limit of an action", f"{layout.limit:.4g}", layout.unit],
+        ["rate", f"{layout.rate_hz:g}", "Hz"],
+        ["trained on, mean +- sd", ", ".join(drawn), ""],
+        ["trained with", ", ".join(also), ""],
+        ["libraries", ", ".join(f"{name} {version}" for name, version in card.libraries.items()), ""],
+    ]
 
 
 def _export(policy: Any, path: Path) -> str:

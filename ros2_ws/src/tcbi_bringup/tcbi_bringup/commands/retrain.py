@@ -1,6 +1,7 @@
 """`./tcbi retrain`: train the successor of a policy on a model's posterior, and keep it if it is better."""
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from tcbi_bringup.arguments import above, at_least, seed
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_sim.store import ModelStore
 
     root = ModelStore(args.store).root
-    current = args.policy or newest(args.task, root)
+    current = args.policy or _newest(args.task, root)
     start = SCRATCH if args.scratch else ""
     job = Job(args.task, current, start, args.model, root, args.budget, args.steps, args.seed)
     planned = plan(job)
@@ -68,19 +69,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def newest(task: str, root: Any) -> str:
-    """The newest policy of this task in the store; without one there, the shipped one of the task's name."""
-    from tcbi_bringup.commands.policy import readable
-    from tcbi_policy.artefact import policy_paths
-    from tcbi_policy.configuration import preset
-    from tcbi_policy.errors import PolicyNotFound
+def _newest(task: str, root: Path) -> str:
+    """The newest policy for a task; notes name those that cannot be read."""
+    from tcbi_policy.artefact import newest_policy
+    from tcbi_sim.tasks import find_task
 
-    paths = policy_paths(root)
-    own = readable({name: path for name, path in paths.items() if path.is_relative_to(root)})
-    made = {name: policy.card.created for name, policy in own.items() if policy.card.task == task}
-    if made:
-        return max(made, key=lambda name: made[name])
-    if task in paths:
-        return task
-    preset("fast", task)  # refuses what is no task
-    raise PolicyNotFound(f"no policy for task {task!r} exists; make one with ./tcbi train --task {task}")
+    name, faults = newest_policy(find_task(task).name, root)
+    for fault in faults:
+        console.note(f"left out: {fault}")
+    return name

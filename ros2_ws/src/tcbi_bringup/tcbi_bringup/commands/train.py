@@ -225,7 +225,7 @@ def follow(event: dict[str, Any], advance: Any) -> None:
     if kind == "progress":
         left_s = event["remaining_s"]
         total = f" of {event['total_steps']}" if event["total_steps"] else ""
-        note = f"{event['steps']}{total} steps, mean return {_known(event['mean_return']):.0f}"
+        note = f"{event['steps']}{total} steps, return {_known(event['mean_return']):.0f} at the last evaluation"
         advance(done=event["share"], left_s=math.nan if left_s is None else left_s, note=note)
     elif kind == "comparing":
         advance(

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from tcbi_bringup.errors import BringupError
 from tcbi_bringup.study.plan import Key
@@ -29,10 +29,9 @@ def hold(folder: Path) -> Iterator[None]:
     """Make a study's folder, and keep every other writer out of it.
 
     Raises:
-      BringupError: another process goes on with the study.
+      BringupError: another process goes on with the study, or the folder cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("a+") as file:
+    with _lock_of(folder) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -45,6 +44,14 @@ def hold(folder: Path) -> Iterator[None]:
         file.write(f"{os.getpid()}\n")
         file.flush()
         yield
+
+
+def _lock_of(folder: Path) -> TextIO:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return (folder / LOCK).open("a+")
+    except OSError as error:
+        raise BringupError(f"{folder}: no study can be kept there ({error.strerror}); give another --out") from error
 
 
 @functools.cache

@@ -52,23 +52,48 @@ def idle_parameter(name: str) -> str:
 
 def guard(measurements: Sequence[Measurement]) -> list[str]:
     """Findings about the recordings and what their reader had to leave out, each told once for several rollouts."""
-    findings: dict[str, list[str]] = {}
     followings = [Following(m) for m in measurements]
     rate = clock_rate(followings)
     clocks, odd = aligned(measurements, followings).findings, _uneven_repeats(measurements)
     near = _no_repeats(measurements)
-    for m, following, *others in zip(measurements, followings, clocks, odd, near, strict=True):
-        own = (*m.notes, *check_recording(m, following), *_rate(rate), *itertools.chain(*others))
-        for finding in dict.fromkeys(own):
-            findings.setdefault(finding, []).append(m.rollout_id)
-    sentences = []
-    for finding, rollouts in findings.items():
-        who = f"all {len(rollouts)} rollouts" if len(rollouts) == len(measurements) else ", ".join(rollouts[:3])
-        more = (
-            f" and {len(rollouts) - 3} more" if len(rollouts) not in (len(measurements),) and len(rollouts) > 3 else ""
-        )
-        sentences.append(f"{finding} ({who}{more})." if len(measurements) > 1 else f"{finding}.")
+    findings = [
+        [*m.notes, *check_recording(m, following), *_rate(rate), *itertools.chain(*others)]
+        for m, following, *others in zip(measurements, followings, clocks, odd, near, strict=True)
+    ]
+    sentences = [_sentence(finding, who, measurements) for finding, who in _by_finding(findings).items()]
     return sentences + _sources(measurements) + _copies(measurements)
+
+
+def to_mend(measurements: Sequence[Measurement]) -> list[str]:
+    """Findings of wrong wiring, units or commands, to which no physics must be fitted, if most rollouts have one."""
+    findings = []
+    for m in measurements:
+        following = Following(m) if _ordered(m) else None
+        findings.append(
+            [] if following is None else [*_units(m, following), *_echo(m, following), *_wiring(m, following)]
+        )
+    if sum(map(bool, findings)) <= len(measurements) / 2:
+        return []
+    return [_sentence(finding, who, measurements) for finding, who in _by_finding(findings).items()]
+
+
+def _by_finding(findings: Sequence[Sequence[str]]) -> dict[str, list[int]]:
+    """In which rollouts each finding is, of the findings of each rollout."""
+    where: dict[str, list[int]] = {}
+    for r, own in enumerate(findings):
+        for finding in dict.fromkeys(own):
+            where.setdefault(finding, []).append(r)
+    return where
+
+
+def _sentence(finding: str, who: Sequence[int], measurements: Sequence[Measurement]) -> str:
+    """A finding, with the rollouts that have it where there are several."""
+    if len(measurements) == 1:
+        return f"{finding}."
+    if len(who) == len(measurements):
+        return f"{finding} (all {len(who)} rollouts)."
+    names = ", ".join(measurements[r].rollout_id for r in who[:3])
+    return f"{finding} ({names}{f' and {len(who) - 3} more' if len(who) > 3 else ''})."
 
 
 def _sources(measurements: Sequence[Measurement]) -> list[str]:
@@ -148,7 +173,7 @@ def _no_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
 def check_recording(m: Measurement, following: Following | None = None) -> list[str]:
     """Findings about one recording, without any model; what `aligned` takes out is its to tell."""
     clock = _clock(m)
-    if len(m.time) < 10 or np.any(np.diff(m.time) <= 0):
+    if not _ordered(m):
         return clock
     following = following or Following(m)
     return [
@@ -163,6 +188,11 @@ def check_recording(m: Measurement, following: Following | None = None) -> list[
         *_lag(following),
         *check_imu(m),
     ]
+
+
+def _ordered(m: Measurement) -> bool:
+    """Whether there are samples to look at, one after another."""
+    return len(m.time) >= 10 and bool(np.all(np.diff(m.time) > 0))
 
 
 def _clock(m: Measurement) -> list[str]:

@@ -6,6 +6,7 @@ import numpy as np
 
 TELLS = 0.4  # share of the squared error from which a kind names it
 TOGETHER = 0.6  # of what single joints show that joints with one common size must keep, to be told as one
+AGAINST = -1.5  # as a gain's error: -1 is a joint that stands still, -2 one that is mirrored
 SLOW = 3.0  # deg/s below which a direction counts for nothing
 UNDER_LOAD = "under high load"  # the condition that goes without saying beside a droop
 LAG, OFFSET, DROOP, GAIN, HYSTERESIS, SCATTER = "lag", "offset", "droop", "gain", "hysteresis", "scatter"
@@ -44,6 +45,8 @@ class Kind:
             if apart:
                 return f"give{s} way under load {100 * size:.0f} % more or less than predicted{apart}"
             return f"give{s} way under load {100 * size:.0f} % {'more' if self.size > 0 else 'less'} than predicted"
+        if self.name == GAIN and self.together and self.size < AGAINST:
+            return f"move{s} against the prediction"
         if self.name == GAIN:
             move = "too far or too little" if apart else "too far" if self.size > 0 else "too little"
             return f"move{s} {100 * size:.0f} % {move}{apart}"

@@ -14,7 +14,7 @@ import numpy as np
 from tcbi_infer.compare.common_lag import LATENCIES, are_latencies, common_lag, without_latency
 from tcbi_infer.compare.comparison import without_change
 from tcbi_infer.compare.errors import CompareError
-from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter
+from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, to_mend
 from tcbi_infer.compare.noise import NoiseFloor, mean_of
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
@@ -50,6 +50,10 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
+MEND_FIRST = (
+    "These recordings look wrong, and no effect was tried on them: {} Mend that and record again; where it is the "
+    "robot after all, --trust-recording searches."
+)
 DIVERGES = "its simulations diverge"
 
 
@@ -114,6 +118,7 @@ class _Run:
         self.began, self.show = time.perf_counter(), [use for use in show if use not in model.effects]
         self.model, self.settings, self.progress = model, settings, _only_forward(progress)
         self.measurements = measurements
+        self.mend = [] if settings.trust_recording else to_mend(measurements)
         self.replay = Replay.of(model, measurements)
         at_mean = self.replay.predict(model, model.mean()[None], timestep=settings.coarse)[0]
         self.split, self.lost = self._without_diverging(np.isnan(at_mean).all(axis=(1, 2)))
@@ -155,6 +160,8 @@ class _Run:
         self.problem, coarse = fit_base(self.problem, self.model, self.sets, self.settings, self.progress)
         found = self._search(coarse)
         rough = [fit for fit, _ in found.fits.values()]
+        if self.mend:
+            return self._rule(found)
         better = better_base(self.problem, self.sets, self.settings, coarse, rough, self.progress)
         return self._rule(found if better is None else self._search(better))
 
@@ -164,7 +171,7 @@ class _Run:
         base = refined(self.problem, coarse, self.sets, self.settings)
         self.progress("screening effects", 0.25)
         # with one kind of motion nothing tells candidates apart; one that is asked for alone is fitted all the same
-        comparable = len(self.split.folds) > 1 or len(self.uses) == 1
+        comparable = (len(self.split.folds) > 1 or len(self.uses) == 1) and not self.mend
         uses = self.uses if comparable and base.total < np.inf else []
         directions = simulate_directions(self.problem, base, uses, self.sets, self.settings.coarse, self._screened())
         judge = Judge(self.model, self.problem, self.split, self.floor, self.settings.timestep)
@@ -248,6 +255,8 @@ class _Run:
         count = len({use.partition(":")[0] for use in self.uses}) if left else None
         apart = unsteady(self.replay, self.floor)
         ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count, apart)
+        if self.mend:
+            ruling = Ruling(CANNOT_TELL, (), MEND_FIRST.format(" ".join(self.mend)))
         errors = {"unfitted": judge.unfitted, "base": before.error}
         best = ranking[0] if ranking and ranking[0].refined else None
         if best:
@@ -326,7 +335,7 @@ class _Run:
         sizes: Sequence[DetectableSize],
     ) -> tuple[NextMotion, ...]:
         """What to record next, where that is asked for or the rollouts cannot tell."""
-        if ruling.verdict != CANNOT_TELL and not self.show:
+        if self.mend or (ruling.verdict != CANNOT_TELL and not self.show):
             return ()
         self.progress("looking for the motion to record next", 0.95)
         motions, timestep = ready_motions(load_rig(self.model.rig), self.replay.measurements), self.settings.coarse

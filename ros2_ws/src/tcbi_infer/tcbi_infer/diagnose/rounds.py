@@ -21,6 +21,7 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 
 MOST = 3  # effects, unless more are asked for
+NO_EFFECT = "no effect is named"
 
 
 @dataclass(frozen=True)
@@ -124,22 +125,31 @@ class _Search:
           found: its diagnosis.
           room: how many effects may be added.
         """
-        steps = [_Step(found.uses[0], found)] if found.verdict == EFFECT else []
-        if not steps and room > 1:
-            steps = self._beside_each_other(model, found)
+        if found.verdict == EFFECT:
+            steps, why_not = [_Step(found.uses[0], found)], ""
+        else:
+            steps, why_not = self._beside_each_other(model, found) if room > 1 else ([], NO_EFFECT)
         if not steps:
-            return [], "no effect is named"
+            return [], why_not
         objections = [] if self.anyway else [objection(step.diagnosis.to_json(), step.use) for step in steps]
         told = next(filter(None, objections), "")
         return ([], told) if told else (steps, "")
 
-    def _beside_each_other(self, model: Model, found: Diagnosis) -> list[_Step]:
+    def _beside_each_other(self, model: Model, found: Diagnosis) -> tuple[list[_Step], str]:
+        """Two effects to add where none is named, or what was tried in vain."""
         accepted = [e for e in found.ranking if e.accepted]
         if found.verdict == CANNOT_TELL and len(accepted) > 1 and accepted[1].use not in accepted[0].alike:
-            return self._two(model, found, accepted[0].use, accepted[1].use)
+            a, b = accepted[0].use, accepted[1].use
+            why_not = f"no effect is named: {a} and {b} were tried beside each other, and neither is needed there"
+            return self._two(model, found, a, b), why_not
         if found.verdict == OUTSIDE_LIBRARY and accepted:
-            return self._second(model, found, accepted[0].use)
-        return []
+            a = accepted[0].use
+            why_not = (
+                f"no effect is named: {a} explains a part, and no second effect beside it was found that explains the "
+                f"rest (./tcbi add {a} takes it alone)"
+            )
+            return self._second(model, found, a), why_not
+        return [], NO_EFFECT
 
     def _two(self, model: Model, found: Diagnosis, a: str, b: str) -> list[_Step]:
         """Of two that were not told apart: both, or the one that the other does not replace."""

@@ -18,6 +18,7 @@ class Settings:
     seed: int = 0
     likeness: float = 0.97  # cosine above which two candidates' signatures count as the same
     per_joint: bool = True  # try effects at every single joint
+    trust_recording: bool = False  # search although the guards say that wiring, units or commands are wrong
     sealed_share: float = 0.2  # of the kinds of motion, opened at the very end
 
 

@@ -77,12 +77,16 @@ def select(names: tuple[str, ...], arrays: RolloutArrays) -> tuple[tuple[Statist
     for name in names:
         if name not in library():
             raise UnknownNameError("statistic", name, sorted(library()))
-    reasons = {}
-    for name in names:
-        with failing(library()[name]):
-            reasons[name] = library()[name].missing(arrays)
+    reasons = {name: _missing(library()[name], arrays) for name in names}
     kept = tuple(library()[name] for name in names if not reasons[name])
     left_out = tuple(f"statistic {name} left out: the rollouts have {why}" for name, why in reasons.items() if why)
     if not kept:
-        raise InferError("no statistic can be computed from these rollouts: " + "; ".join(left_out))
+        others = [name for name, other in library().items() if name not in names and not _missing(other, arrays)]
+        remedy = f"; --statistics may be {', '.join(others)}" if others else ""
+        raise InferError(f"no statistic can be computed from these rollouts: {'; '.join(left_out)}{remedy}")
     return kept, left_out
+
+
+def _missing(statistic: Statistic, arrays: RolloutArrays) -> str:
+    with failing(statistic):
+        return statistic.missing(arrays)

@@ -36,7 +36,7 @@ from tcbi_infer.tcbi.result import (
     prior_variances,
     unfinished,
 )
-from tcbi_infer.tcbi.weights import mean_and_variance, normalised
+from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised
 from tcbi_sim.engine import SimError
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.ray_workers import versions
@@ -339,17 +339,30 @@ class _Loop:
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
             estimates(model.parameters, unit, log_weights, self.known, judged),
-            float(1 / np.sum(np.exp(2 * log_weights))),
+            _distinct(unit, np.exp(log_weights)),
             simulated, seconds, tuple(history), bool(self.state.converged), problem.closed_loop,
             (*problem.warnings, *resumed, *lines), self.known, fits,
-            None if self.place is None else self.place / "state.npz",
+            None if self.place is None else self.place / "state.npz", self._how(),
         )  # fmt: skip
+
+    def _how(self) -> dict[str, Any]:
+        """What another run needs beside the bags to come to the same bits."""
+        problem = self.problem
+        divergence = {"divergence": problem.divergence_name} if self.method.any_divergence else {}
+        run = {"seed": self.seed, "timestep": problem.timestep, **divergence}
+        return {**run, **self.settings._asdict(), "versions": versions()}
 
     def _last_generation(self) -> Generation:
         return self.last if self.here or not self.history else _generation(self.history[-1])
 
     def _generation_before(self) -> Generation | None:
         return _generation(self.history[-2]) if len(self.history) > 1 else None
+
+
+def _distinct(unit: np.ndarray, weights: np.ndarray) -> float:
+    """Effective sample size of particles (M, P), of which equal ones are one, with weights (M,) that add up to one."""
+    _, which = np.unique(unit, axis=0, return_inverse=True)
+    return effective_sample_size(np.bincount(which.ravel(), weights))
 
 
 def _log_shares(log_weights: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,7 +69,7 @@ class Result:
     unit: np.ndarray  # (M, P) in [0, 1]
     log_weights: np.ndarray  # (M,) normalised
     estimates: tuple[Estimate, ...]
-    ess: float
+    ess: float  # effective sample size of the distinct particles
     simulations: int  # rollouts simulated
     seconds: float  # wall time of all generations, those before it was resumed among them
     generations: tuple[dict[str, Any], ...]  # one entry each: mean, variance, ess, alpha, divergence, wall_s; the last
@@ -80,6 +80,7 @@ class Result:
     prior: np.ndarray | None = None  # (N, P) draws in [0, 1] of the prior that was used; None for the flat one
     fits: bool | None = True  # no sign that the model is wrong; None: the search was too short to tell
     state: Path | None = None  # from which an interrupted inference goes on; of no use once this is saved
+    settings: Mapping[str, Any] = field(default_factory=dict)  # seed, timestep (s), the method's own, versions
 
     @property
     def particles(self) -> np.ndarray:
@@ -114,6 +115,7 @@ class Result:
                 "rollouts": list(self.rollouts),
                 "statistics": list(self.statistics),
                 "closed_loop": self.closed_loop,
+                "settings": dict(self.settings),
                 "prior": "flat" if self.prior is None else self.model.version,
                 "fits": self.fits,
                 "parameters": [e.as_json() for e in self.estimates],
@@ -225,7 +227,7 @@ def goodness_of_fit(
     beyond = {} if prior is None else _beyond(parameters, last, prior)
     bounds = list(beyond.values()) + [
         f"the prior of {end.parameter.name} seems to exclude the data: what fits best lies at its {end.at}, "
-        "and fits poorly; widen the prior, or an effect is missing"
+        "and fits poorly; its range, in the file of the rig or of its effect, is too narrow, or an effect is missing"
         for end in _ends(parameters, unit, log_weights, last)
         if not end.null and (end.share > PILED or end.best) and end.parameter.name not in beyond
     ]
@@ -300,7 +302,11 @@ def piled(parameters: Sequence[Parameter], unit: np.ndarray, log_weights: np.nda
     lines = []
     for end in _ends(parameters, unit, log_weights, last):
         if end.share > PILED and (end.null or not _fits_poorly(last)):
-            absent = "where the effect is absent" if end.null else "which may cut it off; a wider prior would tell"
+            absent = (
+                "where the effect is absent"
+                if end.null
+                else "which may cut it off; a wider range (in the file of the rig or of its effect) would tell"
+            )
             lines.append(f"the posterior of {end.parameter.name} piles up at its {end.at}, {absent}")
     return lines
 
