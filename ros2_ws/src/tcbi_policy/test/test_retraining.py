@@ -24,7 +24,7 @@ from tcbi_policy.errors import PolicyMisfit, PolicyNotFound, TrainingError
 from tcbi_policy.evaluation import draw_conditions, evaluate, noisy
 from tcbi_policy.gaits import Gait
 from tcbi_policy.randomisation import divided, randomised
-from tcbi_policy.retraining import OUTCOME, next_name, plan, publish, reference_of, retrain, rival_for
+from tcbi_policy.retraining import OUTCOME, next_name, plan, publish, randomisation_of, reference_of, retrain, rival_for
 from tcbi_policy.runs import Run, TrainingProcess, write_run
 from tcbi_policy.training import Training
 from tcbi_policy.training_process import ACCEPTANCE_SEED, compare_held_out, train_run
@@ -70,7 +70,8 @@ def test_the_successor_of_a_robust_policy_meets_what_that_was_trained_with(tmp_p
     assert settings_of(plan(job(tmp_path, current="robust", start="none"))) == expected
     words = "noise of 0.02 rad on the observation and command_latency, lost_commands in 25% of the episodes"
     assert plan(job(tmp_path, current="robust")).config.randomisation() == words
-    assert plan(job(tmp_path, current="robust", task="forward")).config.effects == ()
+    robust_one, model = find_policy("robust", tmp_path), ModelStore(tmp_path).load("hexapod-v0")
+    assert randomisation_of(robust_one, "forward", model) == {}
 
 
 def test_effects_that_the_model_has_by_now_are_not_added_again(tmp_path: Path) -> None:
