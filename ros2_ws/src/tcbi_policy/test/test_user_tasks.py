@@ -91,7 +91,7 @@ def test_a_broken_file_is_left_out_with_a_line_and_the_others_stay(
     (folder / "broken.py").write_text("TASK = 1")
     (folder / "second.py").write_text(TURN)
     assert list(tasks()) == ["balance", "forward", "turn"]
-    assert "broken.py" in caplog.text and "is taken already" in caplog.text
+    assert "broken.py" in caplog.text and "is taken already, by second.py" in caplog.text
     assert find_task("turn").duration == 6.0
 
 

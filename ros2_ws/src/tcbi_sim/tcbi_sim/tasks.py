@@ -89,16 +89,17 @@ def tasks() -> dict[str, Task]:
 def _tasks_of(folder: Path) -> dict[str, Task]:
     from tcbi_sim.user_tasks import UserTaskError, load_file
 
-    found = dict(TASKS)
+    found, by = dict(TASKS), dict.fromkeys(TASKS, "a built-in task")
     for path in python_files(folder):
         try:
             task = load_file(path)
             if task.name in found:
-                raise UserTaskError(path, [f"the name {task.name!r} is taken already; choose another one"])
+                taken = f"the name {task.name!r} is taken already, by {by[task.name]}; choose another one"
+                raise UserTaskError(path, [taken])
         except UserTaskError as e:
             log.warning("%s; it is left out, ./tcbi tasks check tells more", e)
             continue
-        found[task.name] = task
+        found[task.name], by[task.name] = task, path.name
     return found
 
 

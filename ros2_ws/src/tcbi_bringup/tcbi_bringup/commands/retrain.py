@@ -29,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--budget", type=above(0.0), default=0.0, metavar="SECONDS",
-        help="train for this time instead of for the preset's steps; with --steps, for whichever is over first",
+        help="train for this time instead of for the preset's steps; start-up, the evaluation at the end "
+        "and the comparison come on top; with --steps, for whichever is over first",
     )  # fmt: skip
     console.add_store(parser)
     console.add_json(parser)

@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--budget", type=above(0.0), default=0.0, metavar="SECONDS",
-        help="train for this time instead of for the preset's steps; with --steps, for whichever is over first",
+        help="train for this time instead of for the preset's steps; start-up and the evaluation at the end "
+        "come on top; with --steps, for whichever is over first",
     )  # fmt: skip
     parser.add_argument(
         "--prior", action="store_true", help="draw from the prior of the model's parameters, not from its posterior"
