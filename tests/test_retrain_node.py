@@ -18,7 +18,7 @@ from tcbi_msgs.srv import LoadPolicy
 from tcbi_policy import retrain_node as retrain_node_module
 from tcbi_policy.artefact import find_policy
 from tcbi_policy.retrain_node import RetrainNode
-from tcbi_policy.retraining import Job, Outcome
+from tcbi_policy.retraining import Outcome
 from tests.policy_cases import own_process, policy_node, wait_until
 
 __all__ = ["own_process"]  # the fixture
@@ -81,9 +81,9 @@ def test_who_cancels_after_the_comparison_gets_no_other_policy_on_the_robot(
 
     asked: list[Any] = []
     node._load = SimpleNamespace(service_is_ready=appears, call_async=asked.append)
-    result, job = Retrain.Result(), Job("balance", "gait:stand")
+    result = Retrain.Result()
     outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", "gait:stand")
-    node._finish(handle, result, outcome, job)
+    node._finish(handle, result, outcome, "balance", "gait:stand")
     node.destroy_node()
     assert not asked and ends == ["succeed"] and result.accepted
     assert result.message == "better; kept as balance-1, not loaded: cancelled after the comparison"
@@ -107,7 +107,7 @@ def test_who_cancels_does_not_wait_for_a_policy_node_that_hangs(
     result = Retrain.Result()
     outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", "gait:stand")
     began = time.monotonic()
-    node._finish(handle, result, outcome, Job("balance", "gait:stand"))
+    node._finish(handle, result, outcome, "balance", "gait:stand")
     took = time.monotonic() - began
     node.destroy_node()
     assert len(asked) == 1 and took < 30.0, "the node's own limit was 60 s"
@@ -132,10 +132,27 @@ def test_what_a_new_policy_must_beat_is_in_use_or_will_be_after_a_recording(
     node._on_policy(String(data=in_use))
     future = SimpleNamespace(done=lambda: True, result=lambda: answer)
     node._load = SimpleNamespace(service_is_ready=lambda: answer is not None, call_async=lambda _: future)
-    found = node._rival(SimpleNamespace(is_cancel_requested=False))
+    found = node._in_use_now(SimpleNamespace(is_cancel_requested=False))
     current = node._job(Retrain.Goal(task="balance"), found).current
     node.destroy_node()
     assert current == rival
+
+
+def test_a_policy_for_another_task_is_no_rival_and_stays_in_use(
+    own_process: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retrain_node_module, "TrainingProcess", lambda: SimpleNamespace(close=lambda: None))
+    node: Any = RetrainNode()
+    walks, asked = find_policy("forward").policy_id, []
+    node._load = SimpleNamespace(service_is_ready=lambda: True, call_async=asked.append)
+    job, result = node._job(Retrain.Goal(task="balance"), walks), Retrain.Result()
+    handle: Any = SimpleNamespace(is_cancel_requested=False, succeed=lambda: None)
+    rival = find_policy("balance").policy_id
+    outcome = Outcome(True, False, "balance-1", "/balance-1.safetensors", 1.0, 2.0, "better", rival)
+    node._finish(handle, result, outcome, "balance", walks)
+    node.destroy_node()
+    assert job.current == "balance" and not asked
+    assert result.message == f"better; kept as balance-1: {walks}, which is in use, is no policy for balance"
 
 
 @pytest.mark.slow
