@@ -35,6 +35,7 @@ from tcbi_sim.measurement import Block, Scenario, observation, roll_pitch_yaw
 from tcbi_sim.model import Model, base_model
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.sensing import Samples
+from tcbi_sim.store import ModelStore
 from tcbi_sim.tasks import find_task, tasks
 
 TIMESTEP_S = 0.01  # implicitfast with the elliptic cone follows finer steps within 0.15 degrees
@@ -80,12 +81,16 @@ class HexapodVectorEnv(VectorEnv):
 
         Raises:
           PolicyMisfit: the model is of a robot that these tasks cannot move; it says what differs.
-          TrainingError: no simulations, or noise that is no number.
+          TrainingError: no simulations, or a time step, threads or noise that cannot be.
         """
         rig = load_rig(model.rig)
         check_fit(f"of {task}", HEXAPOD, robot_layout(rig.joint_names, rig.joint_range))
         if count < 1:
             raise TrainingError(describe("count", count, "1 or more simulations"))
+        if not 0 < timestep <= CONTROL_PERIOD_S:
+            raise TrainingError(describe("timestep", timestep, f"more than 0 s, and {CONTROL_PERIOD_S} s at most"))
+        if threads < 0:
+            raise TrainingError(describe("threads", threads, "0 for all processors, or more"))
         if not 0 <= observation_noise < math.inf:
             raise TrainingError(describe("observation_noise", observation_noise, "0 or more, and finite, rad"))
         self.model, self.task, self.num_envs, self.generation = model, find_task(task), count, 0
@@ -211,9 +216,9 @@ class HexapodEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     metadata = {"render_modes": []}
 
-    def __init__(self, model: Model | None = None, task: str = "balance", seed: int | None = None, **options: Any):
-        """Make the simulation; without a model, the prior of the hexapod as it is built in."""
-        self._vector = HexapodVectorEnv(model or base_model("hexapod"), task, 1, seed, **options)
+    def __init__(self, model: Model | str = "", task: str = "balance", seed: int | None = None, **options: Any):
+        """Make the simulation; see `model_of` for the model."""
+        self._vector = HexapodVectorEnv(model_of(model), task, 1, seed, **options)
         self.observation_space = self._vector.single_observation_space
         self.action_space = self._vector.single_action_space
         self._next: np.ndarray | None = None  # first observation of an episode that has begun already
@@ -253,6 +258,17 @@ def register() -> None:
             )
 
 
-def make_vector_env(num_envs: int, task: str, model: Model | None = None, **options: Any) -> HexapodVectorEnv:
-    """What `gymnasium.make_vec` calls."""
-    return HexapodVectorEnv(model or base_model("hexapod"), task, num_envs, **options)
+def make_vector_env(num_envs: int, task: str, model: Model | str = "", **options: Any) -> HexapodVectorEnv:
+    """What `gymnasium.make_vec` calls; see `model_of` for the model."""
+    return HexapodVectorEnv(model_of(model), task, num_envs, **options)
+
+
+def model_of(model: Model | str) -> Model:
+    """A model as it is, a version of the store by its name, or for "" the prior of the hexapod as it is built in.
+
+    Raises:
+      TcbiError: the store has no such version.
+    """
+    if isinstance(model, Model):
+        return model
+    return ModelStore().load(model) if model else base_model("hexapod")

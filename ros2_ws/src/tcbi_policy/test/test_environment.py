@@ -7,6 +7,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
+from tcbi_contract.errors import TcbiError
 from tcbi_policy.environment import HexapodEnv, HexapodVectorEnv, register
 from tcbi_policy.errors import PolicyError
 from tcbi_policy.gaits import Gait
@@ -27,6 +28,26 @@ def test_an_action_that_is_no_number_is_refused(value: float) -> None:
     action[4] = value
     with pytest.raises(ValueError, match=r"action: got .*allowed is finite numbers"):
         environment.step(action)
+
+
+@pytest.mark.parametrize("shape", [(18,), (3, 18), (2, 17)])
+def test_actions_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    environment = HexapodVectorEnv(MODEL, "balance", 2, 3)
+    environment.reset()
+    with pytest.raises(ValueError, match=r"shape of the actions: got .*allowed is \(2, 18\)"):
+        environment.step(np.zeros(shape))
+
+
+def test_the_seed_is_one_for_all_episodes() -> None:
+    with pytest.raises(ValueError, match=r"seed: got \[1, 2\], allowed is one whole number"):
+        HexapodVectorEnv(MODEL, "balance", 2, 3).reset(seed=[1, 2])  # type: ignore[arg-type]
+
+
+def test_a_model_may_be_a_version_of_the_store() -> None:
+    register()
+    with pytest.raises(TcbiError, match="hexapod-v99"):
+        gymnasium.make_vec("tcbi/Balance-v0", num_envs=1, model="hexapod-v99")
+    assert gymnasium.make_vec("tcbi/Balance-v0", num_envs=1, model="hexapod-v0").num_envs == 1
 
 
 def test_a_step_before_an_episode_says_what_is_missing() -> None:
@@ -55,6 +76,8 @@ def episode() -> tuple[HexapodVectorEnv, list[np.ndarray], np.ndarray, list[dict
     ("given", "said"),
     [
         ({"count": 0}, "count: got 0, allowed is 1 or more"),
+        ({"count": 1, "timestep": 0.0}, "timestep: got 0.0, allowed is more than 0 s"),
+        ({"count": 1, "threads": -1}, "threads: got -1, allowed is 0"),
         ({"count": 1, "observation_noise": float("nan")}, "observation_noise: got nan"),
         ({"count": 1, "model": base_model("servo_bench")}, "does not fit this robot: observation needs lf_coxa"),
     ],
