@@ -40,12 +40,20 @@ from tcbi_sim.tasks import find_task, tasks
 
 @dataclass(frozen=True)
 class Steps:
-    """What a robot can measure of K control steps, over any leading axes."""
+    """What a robot can measure of K control steps, over any leading axes; its arrays cannot be written to."""
 
     attitude: np.ndarray  # (..., K + 1, 4) base in world, w x y z, at the ticks and at the end of the last step
     progress: np.ndarray | None  # (..., K + 1) m along the heading at the start; None where nothing measures it
     action: np.ndarray  # (..., K, J) rad, the joint targets
     before: np.ndarray  # (..., K, J) rad, the targets of the step before; the posture at the start in the first
+
+    def __post_init__(self) -> None:
+        for name in ("attitude", "progress", "action", "before"):
+            values = getattr(self, name)
+            if values is not None:
+                values = values.view()
+                values.flags.writeable = False  # a term that writes would change what the next one sees
+                object.__setattr__(self, name, values)
 
 
 @dataclass(frozen=True)

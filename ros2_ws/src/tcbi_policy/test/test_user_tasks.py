@@ -73,6 +73,7 @@ def test_the_check_finds_nothing_wrong_with_a_good_one(folder: Path) -> None:
         ('Term("turn", 5000.0', 'Term("turn", "5000"', "reward[0].weight is '5000', allowed is a number"),
         ("action_term(-600.0))", '("action", -600.0))', "reward[1] is a tuple"),
         ("return np.diff", "return 1 / 0 * np.diff", "ZeroDivisionError"),
+        ("return np.diff(", "steps.attitude[:] = 1.0; return np.diff(", "read-only"),
         ("return np.diff(", "return np.nan * np.diff(", "not finite"),
         ("return np.diff(", "return np.cumsum(steps.action.mean(axis=-1)) + np.diff(", "more than one step"),
         ("return np.diff(", "return np.mean(", "one a step"),
