@@ -62,6 +62,14 @@ class Evaluation:
         """Mean over the simulations that have a return; NaN if none has."""
         return _of_finite(np.mean, self.returns)
 
+    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Of the mean return, Student's t over the simulations that have one; NaN with fewer than two."""
+        known = self.returns[~np.isnan(self.returns)]
+        if len(known) < 2:
+            return math.nan, math.nan
+        reach = float(stdtrit(len(known) - 1, (1 + confidence) / 2) * np.std(known, ddof=1) / math.sqrt(len(known)))
+        return self.mean_return - reach, self.mean_return + reach
+
     def summary(self) -> dict[str, float]:
         """Means and spreads, in degrees and m; where there are blocks, also who went over one or past all of them."""
         degrees = np.degrees(self.inclination)

@@ -138,3 +138,10 @@ def test_systematic_draws_take_each_vector_as_often_as_its_weight_says() -> None
         wanted = 64 * model.weights[(particles == vector).all(axis=1)].sum()
         assert abs((drawn.parameters == vector).all(axis=1).sum() - wanted) < 1
     assert drawn.scenarios != draw_conditions(model, "balance", 64, seed=4, systematic=True).scenarios
+
+
+def test_the_interval_of_the_mean_return_is_students_and_unknown_for_one_rollout() -> None:
+    returns = np.array([1.0, 2.0, 3.0, np.nan])
+    low, high = Evaluation(returns, returns, returns).interval()
+    assert (low, high) == pytest.approx((2 - 4.303 / np.sqrt(3), 2 + 4.303 / np.sqrt(3)), abs=1e-3)
+    assert np.isnan(Evaluation(returns[:1], returns[:1], returns[:1]).interval()).all()

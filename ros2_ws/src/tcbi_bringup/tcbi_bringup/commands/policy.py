@@ -11,6 +11,7 @@ from tcbi_bringup.errors import WrongCallError
 
 UNITS = {
     **{"cpu_s": "s", "mean_return": "points", "sd_return": "points"},
+    **dict.fromkeys(("mean_return_low95", "mean_return_high95"), "points"),
     **{"final_inclination_deg": "deg", "distance_m": "m", "median_distance_m": "m"},
     **{"over_blocks": "rollouts", "foot_over_blocks": "rollouts", "past_blocks_share": "share", "past_blocks_s": "s"},
     **{"blocks_under_feet": "blocks", "distance_over_blocks_m": "m", "distance_not_over_blocks_m": "m"},
@@ -165,5 +166,7 @@ def _measure(args: argparse.Namespace, store: Any, policy: Any) -> dict[str, Any
     check_rig(policy.policy_id, model)
     rollouts, seed = args.rollouts or ROLLOUTS, SEED if args.seed is None else args.seed
     with console.progress(f"measuring {policy.policy_id} on {rollouts} rollouts of {task}"):
-        found = evaluate(policy, model, draw_conditions(model, task, rollouts, seed)).summary()
-    return {"task": task, "model": model.version, "rollouts": rollouts, "seed": seed, **found}
+        found = evaluate(policy, model, draw_conditions(model, task, rollouts, seed))
+    low, high = found.interval()
+    interval = {"mean_return_low95": low, "mean_return_high95": high}
+    return {"task": task, "model": model.version, "rollouts": rollouts, "seed": seed, **found.summary(), **interval}
