@@ -174,7 +174,7 @@ def test_physics_is_not_fitted_to_wrong_wiring_or_units(clean, fault):
 
 
 def test_nothing_is_to_be_mended_in_a_sound_recording_whatever_the_robot_lacks(clean):
-    for rollouts in (clean, recorded(LATENCY), recorded("weak_leg"), recorded("backlash")):
+    for rollouts in (clean, recorded(LATENCY), recorded("torque_saturation"), recorded("backlash")):
         assert to_mend(rollouts) == []
 
 

@@ -5,6 +5,8 @@ mistake of the wiring.
 """
 
 import itertools
+import re
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -65,16 +67,18 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
 
 
 def to_mend(measurements: Sequence[Measurement]) -> list[str]:
-    """Findings of wrong wiring, units or commands, to which no physics must be fitted, if most rollouts have one."""
+    """Findings of wrong wiring, units or commands that most rollouts share, and to which no physics must be fitted.
+
+    Joints that reach their limits follow each other here and there; joints that are swapped do so everywhere.
+    """
     findings = []
     for m in measurements:
         following = Following(m) if _ordered(m) else None
-        findings.append(
-            [] if following is None else [*_units(m, following), *_echo(m, following), *_wiring(m, following)]
-        )
-    if sum(map(bool, findings)) <= len(measurements) / 2:
-        return []
-    return [_sentence(finding, who, measurements) for finding, who in _by_finding(findings).items()]
+        found = [] if following is None else [*_units(m, following), *_echo(m, following), *_wiring(m, following)]
+        findings.append([(re.sub(r"\d+", "", finding), finding) for finding in found])
+    shared = Counter(kind for own in findings for kind in dict(own))
+    often = [[finding for kind, finding in own if shared[kind] > len(measurements) / 2] for own in findings]
+    return [_sentence(finding, who, measurements) for finding, who in _by_finding(often).items()]
 
 
 def _by_finding(findings: Sequence[Sequence[str]]) -> dict[str, list[int]]:
