@@ -16,7 +16,7 @@ from tcbi_infer.diagnose.evidence import (
     Misfit,
     ParameterEstimate,
 )
-from tcbi_infer.diagnose.judge import at_bound
+from tcbi_infer.diagnose.judge import at_bound, estimate
 from tcbi_infer.diagnose.verdict import accept, ranked, rule
 from tcbi_sim.parameter import Parameter
 
@@ -284,3 +284,12 @@ def test_where_the_base_model_diverges_in_several_motions_these_count_as_the_lar
     few = np.array([np.inf, 28.0, 25.0])
     assert paired.total(few, np.ones(3))[0] == 81.0
     assert paired.total(np.full(5, np.inf), sizes)[0] == -np.inf  # nothing to compare with
+
+
+def test_an_interval_that_ends_with_the_range_is_said_to_be_cut_off_but_not_where_the_effect_vanishes():
+    torque = Parameter("torque", "N m", 0.0, 0.15, 0.05, null=0.0)
+    cut = estimate(torque, 0.8, 0.6, 1.0)
+    assert cut.cut_off and not cut.at_bound and (cut.low90, cut.high90) == pytest.approx((0.09, 0.15))
+    assert not estimate(torque, 0.2, 0.0, 0.4).cut_off
+    stopped = estimate(torque, 1.0, 0.9, 1.0)
+    assert stopped.at_bound and not stopped.cut_off

@@ -58,11 +58,12 @@ def diverging(uses: Sequence[str]) -> list[str]:
 
 
 def bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:
-    """A sentence on each parameter that the fits left at an end of its range."""
+    """A sentence on each parameter that the fits left at an end of its range, or whose interval ends there."""
     told = []
     for e in (base, *named):
         why = "a wrong range or another missing effect may be behind it" if e is base else "the effect may be larger"
         for p in (p for p in e.parameters if p.at_bound):
             end = with_unit(f"{p.value:.3g}", p.unit)
             told.append(f"{p.name} stopped at an end of its range, {end}: its interval is one-sided, and {why}.")
-    return told
+    cut_off = (p.name for e in named for p in e.parameters if p.cut_off)
+    return told + [f"The interval of {name} ends where its range does, and might be wider." for name in cut_off]

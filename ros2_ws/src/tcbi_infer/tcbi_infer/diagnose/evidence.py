@@ -47,6 +47,7 @@ class ParameterEstimate:
 
     Attributes:
       at_bound: the fit stopped at an end of the range that is not the null value: the interval is one-sided.
+      cut_off: the fit did not, but the interval ends at such an end, and might be wider.
     """
 
     name: str
@@ -56,6 +57,7 @@ class ParameterEstimate:
     high90: float
     null: float | None
     at_bound: bool = False
+    cut_off: bool = False
 
     @property
     def excludes_null(self) -> bool:

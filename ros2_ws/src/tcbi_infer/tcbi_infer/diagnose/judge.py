@@ -134,11 +134,8 @@ class Judge:
             gains = after.held.score - before.held.score
         gain, se = paired.total(gains, self.sizes)
         low, high, covariance = intervals(fit, after.held, drift, after.error)
-        lows, highs = fit.model.from_unit(low), fit.model.from_unit(high)
-        parameters = tuple(
-            ParameterEstimate(p.name, p.unit, float(value), float(lows[i]), float(highs[i]), p.null, at_bound(p, unit))
-            for i, (p, value, unit) in enumerate(zip(fit.model.parameters, fit.parameters, fit.unit, strict=True))
-        )
+        units = zip(fit.unit, low, high, strict=True)
+        parameters = tuple(estimate(p, *unit) for p, unit in zip(fit.model.parameters, units, strict=True))
         return Evidence(
             effect=use.partition(":")[0],
             use=use,
@@ -181,6 +178,14 @@ class Judge:
                 )
             )
         return found
+
+
+def estimate(parameter: Parameter, unit: float, low: float, high: float) -> ParameterEstimate:
+    """A parameter's estimate from its fitted value and its interval's ends, each in [0, 1]."""
+    value, low90, high90 = (float(parameter.from_unit(x)) for x in (unit, low, high))
+    stopped = at_bound(parameter, unit)
+    cut_off = not stopped and any(at_bound(parameter, end) for end in (low, high))
+    return ParameterEstimate(parameter.name, parameter.unit, value, low90, high90, parameter.null, stopped, cut_off)
 
 
 def at_bound(parameter: Parameter, unit: float) -> bool:
