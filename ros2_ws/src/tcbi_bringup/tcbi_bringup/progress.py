@@ -9,11 +9,13 @@ The time left is shown only while there is an estimate of it: `Estimate` says wh
 import contextlib
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 LINE_PERIOD_S = 10.0  # between two lines of progress where standard error is no terminal
+QUIET_PERIOD_S = 20.0  # without one, after which one comes though nothing is new
 LEAST_SHARE = 0.05  # of the work, to be done before its speed says anything
 
 
@@ -162,15 +164,28 @@ def _bar(work: Work) -> Iterator[Callable[..., None]]:
 
 @contextlib.contextmanager
 def _lines(work: Work) -> Iterator[Callable[..., None]]:
-    shown = 0.0  # s since the beginning
+    """A line with what is new, and one now and then where nothing is."""
+    shown, lock, over = 0.0, threading.Lock(), threading.Event()  # s since the beginning
+
+    def show(period_s: float) -> None:
+        nonlocal shown
+        with lock:
+            if work.elapsed_s() - shown >= period_s:
+                shown = work.elapsed_s()
+                print(work.line(), file=sys.stderr, flush=True)
 
     def advance(*args: Any, **kwargs: Any) -> None:
-        nonlocal shown
         work.advance(*args, **kwargs)
-        if work.elapsed_s() - shown >= LINE_PERIOD_S:
-            shown = work.elapsed_s()
-            print(work.line(), file=sys.stderr, flush=True)
+        show(LINE_PERIOD_S)
 
-    yield advance
+    def go_on() -> None:
+        while not over.wait(QUIET_PERIOD_S):
+            show(QUIET_PERIOD_S)
+
+    threading.Thread(target=go_on, name="progress", daemon=True).start()
+    try:
+        yield advance
+    finally:
+        over.set()
     if shown:
-        print(work.line(), file=sys.stderr, flush=True)
+        show(0.0)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,14 @@ def test_progress_and_notes_keep_away_from_standard_output(capsys, monkeypatch):
     assert (
         "recording: 3 of 4 rollouts, 0 s" in captured.err and "generation 2" in captured.err and "done" in captured.err
     )
+
+
+def test_long_work_without_news_is_seen_to_go_on(capsys, monkeypatch):
+    monkeypatch.setattr("tcbi_bringup.progress.QUIET_PERIOD_S", 0.05)
+    with console.progress("training") as advance:
+        advance(note="piece 1")
+        time.sleep(0.5)
+    assert capsys.readouterr().err.count("piece 1") >= 3
 
 
 def test_progress_ends_when_the_work_fails(capsys):

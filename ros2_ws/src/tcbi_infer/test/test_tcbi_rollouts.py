@@ -175,7 +175,7 @@ def test_beside_a_policy_at_hand_one_that_is_not_is_replayed_and_that_is_said() 
     gaits = hexapod_rollouts("gait:steps")
     controllers, said = find_controllers([*trained, *lost, *gaits], "acting", None)
     assert list(controllers) == [trained[0].policy_id]
-    assert said.startswith(f"closed loop: {trained[0].policy_id} act on the simulated robot; for the other rollouts")
+    assert said.startswith(f"closed loop: {trained[0].policy_id} acts on the simulated robot; for the other rollouts")
     assert "since scripted gaits do not react and a policy cannot be loaded" in said and "'lost'" in said
     with pytest.raises(PolicyError, match="'lost' does not exist"):
         find_controllers([*trained, *lost], "closed", None)

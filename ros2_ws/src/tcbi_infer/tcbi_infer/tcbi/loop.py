@@ -67,7 +67,7 @@ def _said(acting: list[str], reasons: list[str]) -> str:
     replayed = f"the recorded commands are replayed, since {' and '.join(reasons)}"
     if not acting:
         return f"open loop: {replayed}"
-    act = f"closed loop: {', '.join(acting)} act on the simulated robot"
+    act = f"closed loop: {', '.join(acting)} act{'s' * (len(acting) == 1)} on the simulated robot"
     return f"{act}; for the other rollouts {replayed}" if reasons else act
 
 
