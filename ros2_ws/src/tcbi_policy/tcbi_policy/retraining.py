@@ -186,7 +186,8 @@ def retrain(
     folder = write_run(store.folder("runs") / run.key("retrain"), run)
     comparison = _follow(folder, on_event, cancelled, process)
     if comparison is None:
-        message = "cancelled; the same request goes on from the last checkpoint"
+        there = (folder / "checkpoint.safetensors").exists()
+        message = f"cancelled; the same request {'goes on from the last checkpoint' if there else 'begins anew'}"
         return Outcome(False, True, "", "", float("nan"), float("nan"), message)
     again = comparison.pop(AGAIN, False)
     before, after = (math.nan if comparison[when] is None else comparison[when] for when in ("before", "after"))

@@ -133,9 +133,12 @@ def _print(data: dict[str, Any]) -> None:
             ]
             for r in found["comparisons"]
         ]
-        console.table("TCBI against", ["", "gain in return", "95 %", "p (Welch)", "p (Holm)", "p, divergence"], rows)
+        if rows:
+            console.table(
+                "TCBI against", ["", "gain in return", "95 %", "p (Welch)", "p (Holm)", "p, divergence"], rows
+            )
         rows = [
-            [r["label"], r["parameter"], f"{r['variance_reduction']:.0%}", f"{r['relative_error']:.0%}",
+            [r["label"], r["parameter"], f"{r['variance_reduction']:z.0%}", f"{r['relative_error']:.0%}",
              f"{r['truth_in_90']} of {r['robots']}"]
             for r in found["variance_reduction"]
         ]  # fmt: skip

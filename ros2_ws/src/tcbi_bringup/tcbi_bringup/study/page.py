@@ -170,7 +170,7 @@ def _inference(report: Report, findings: Findings, task: str, found: dict[str, A
     ]
     rows = [
         [r["label"], r["parameter"],
-         f"{r['variance_reduction']:.0%}", range_of(r, "variance_reduction", ".0%"),
+         f"{r['variance_reduction']:z.0%}", range_of(r, "variance_reduction", ".0%"),
          f"{r['relative_error']:.0%}", range_of(r, "relative_error", ".0%"),
          f"{r['truth_in_90']} of {r['robots']}", f"{r['ess']:.0f}"]
         for r in found["variance_reduction"]
