@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             try:
                 _work(experiment)
             except KeyboardInterrupt:
-                console.note("stopping once the rollouts at work are done; the same command goes on")
+                console.note("stopping; the same command goes on")
                 raise
             finally:
                 data = _report(args.preset, plan, folder)

@@ -109,5 +109,9 @@ class Laboratory:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._pool:
-            self._pool.shutdown(cancel_futures=True)
+        if not self._pool:
+            return
+        if kind is not None:  # what the rollouts at work would say is lost anyway
+            for worker in multiprocessing.active_children():
+                worker.terminate()
+        self._pool.shutdown(cancel_futures=True)
