@@ -234,7 +234,8 @@ def goodness_of_fit(
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
     far = {name: d for name, d in (departed or {}).items() if _is_far(name, d)}
-    lines = bounds if poor.keys() - falling else []
+    stays_poor = bool(poor.keys() - falling)
+    lines = bounds if stays_poor else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
         f"{WIDENED}"
@@ -245,6 +246,7 @@ def goodness_of_fit(
     if untold and not lines:
         return GoodnessOfFit([UNTOLD.format(", ".join(untold))], None, 1.0)
     distrust = worst_misfit(last) if lines else 1.0
+    lines = [*(bounds if far and not stays_poor else []), *lines]
     lines += [
         f"no parameters reproduce {name} in time: predictions with the best of them miss the robot's by "
         f"{math.degrees(d.error):.2g} deg, {d.missed:.1f} times as much as each other's; {WIDENED}"
