@@ -229,13 +229,14 @@ def test_other_errors_of_the_system_are_not_hidden(command):
         cli.main(["compare"])
 
 
-def test_no_usable_temporary_folder_is_one_line_with_a_remedy(command, capsys, monkeypatch):
+def test_no_usable_temporary_folder_is_one_line_with_a_remedy(command, tmp_path, capsys, monkeypatch):
+    nowhere = str(tmp_path / "nowhere")
     monkeypatch.setattr(tempfile, "tempdir", None)
-    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", lambda: ["/nowhere"])
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", lambda: [nowhere])
     command(lambda _: tempfile.mkdtemp())
     assert cli.main(["compare"]) == cli.FAULT
     error = capsys.readouterr().err
-    assert error.startswith("tcbi: No usable temporary directory found in ['/nowhere']; ") and "TMPDIR" in error
+    assert error.startswith(f"tcbi: No usable temporary directory found in ['{nowhere}']; ") and "TMPDIR" in error
     assert error.count("\n") == 1
 
 
