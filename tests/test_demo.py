@@ -2,12 +2,13 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from tcbi_bringup.commands import console
 from tcbi_bringup.commands.demo import as_json
-from tcbi_bringup.demo import page
+from tcbi_bringup.demo import page, story
 from tcbi_bringup.demo.plan import QUICK
 from tcbi_bringup.demo.robot import Robot, running
 from tcbi_bringup.demo.story import Outcome, Story
@@ -73,3 +74,19 @@ def test_right_is_what_is_hidden_and_with_nothing_hidden_only_that_nothing_is_mi
     monkeypatch.setattr(Outcome, "verdict", verdict)
     monkeypatch.setattr(Outcome, "effects", effects)
     assert Outcome(Robot(1), SHORT, None).right(hidden) == right
+
+
+def test_a_deployment_that_the_diagnosis_spoilt_is_recorded_again_before_the_inference(monkeypatch):
+    def spoilt(m, time):
+        return SimpleNamespace(sentences=("No samples from 0.6 to 0.8 s",) if m.rollout_id == "spoilt" else ())
+
+    monkeypatch.setattr(story, "unusable", spoilt)
+    whole, bad, again = (SimpleNamespace(rollout_id=name, time=()) for name in ("whole", "spoilt", "again"))
+    asked, said = [], []
+    told = SimpleNamespace(
+        out=SimpleNamespace(before=[whole, bad]),
+        say=said.append,
+        _deployed=lambda policy, name, number: asked.append((name, number)) or again,
+    )
+    Story._mend_deployments(told)
+    assert told.out.before == [whole, again] and asked == [("before", 1)] and "spoilt" in said[0]

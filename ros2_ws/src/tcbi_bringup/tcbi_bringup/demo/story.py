@@ -163,6 +163,7 @@ class Story:
     def infer(self, model: Model) -> Model:
         """TCBI on the task's rollouts, which no fit has seen, from what the diagnosis says on."""
         plan, store = self.plan, self.out.store
+        self._mend_deployments()
         problem = Problem.of(model, self.out.before, prior="model", policies=store.root)
         with console.progress("inferring", total=plan.generations) as advance:
             result = infer(
@@ -261,11 +262,22 @@ class Story:
 
     def _deploy(self, policy: str, name: str, advance: Advance = _silent) -> list[Measurement]:
         """The task with a policy; the same seeds, hence the same slopes, before and after."""
-        folder, recorded = self.folder / "rollouts" / name, []
-        for seed in (1000 * (self.robot.seed + 1) + i for i in range(self.plan.deployments)):
-            recorded.append(self._rollout(policy, seed, folder, duration_s=self.plan.deployment_s))
+        recorded = []
+        for number in range(self.plan.deployments):
+            recorded.append(self._deployed(policy, name, number))
             advance(1)
         return recorded
+
+    def _deployed(self, policy: str, name: str, number: int) -> Measurement:
+        seed = 1000 * (self.robot.seed + 1) + number
+        return self._rollout(policy, seed, self.folder / "rollouts" / name, duration_s=self.plan.deployment_s)
+
+    def _mend_deployments(self) -> None:
+        """Record again, with the diagnosis out of the way, what it spoilt of the first policy's rollouts."""
+        for number, m in enumerate(self.out.before):
+            if unusable(m, m.time).sentences:
+                self.say(f"{m.rollout_id} was spoilt while the model was looked at; it is recorded again")
+                self.out.before[number] = self._deployed(FIRST_POLICY, "before", number)
 
     def _diagnose(self, model: Model) -> Diagnosis:
         with console.progress("diagnosing", total=1.0) as advance:
