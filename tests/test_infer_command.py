@@ -28,6 +28,7 @@ def test_json_has_the_contracts_keys_and_nothing_else_is_on_standard_output(bags
     looked = found["simulations"] - 2 * 20 * 4  # at draws of the posterior, in every rollout
     assert found["method"] == "calibrated" and 0 < looked <= 40 * 4 and looked % 4 == 0
     assert "open loop" in captured.err
+    assert found["settings"].items() >= {"seed": 0, "divergence": "js", "particles": 20, "generations": 2}.items()
     saved = ModelStore(tmp_path).load(found["model"])
     assert saved.parent == f"{RIG}-v0"
     means = dict(zip(saved.names, saved.weights @ saved.particles, strict=True))

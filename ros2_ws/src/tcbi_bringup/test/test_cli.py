@@ -246,6 +246,15 @@ def test_a_file_that_is_not_there_is_not_taken_for_the_temporary_folder(command)
         cli.main(["compare"])
 
 
+@pytest.mark.parametrize("place", ["", "/file/page.html"])
+def test_a_report_that_cannot_be_written_is_refused_before_anything_is_done(place, tmp_path, capsys):
+    (tmp_path / "file").touch()
+    assert cli.main(["compare", "bag", "--report", f"{tmp_path}{place}"]) == cli.USAGE
+    error = capsys.readouterr().err
+    assert "which cannot be written" in error and error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
 @pytest.mark.parametrize("words", ["compare bag --store", "up --log-dir", "demo --folder", "study --out"])
 @pytest.mark.parametrize("below", ["", "/sub"])
 def test_a_file_in_the_place_of_a_folder_is_refused_before_anything_is_done(words, below, tmp_path, capsys):

@@ -36,7 +36,7 @@ from tcbi_bringup.study.plan import (
     cost,
     of_what_is_there,
 )
-from tcbi_bringup.study.robots import Laboratory, Order
+from tcbi_bringup.study.robots import Laboratory
 from tcbi_contract.errors import UsageError
 from tcbi_infer.baselines.prior import PriorSettings
 from tcbi_infer.errors import InferError
@@ -139,24 +139,6 @@ def test_a_training_goes_on_with_the_same_configuration_model_and_code_alone(tmp
     assert second != first and second.is_dir() and not first.exists()
     monkeypatch.setattr(runs, "LOADED", "code changed")
     assert folder(steps=160) != second and not second.exists() and other.is_dir()
-
-
-def test_a_laboratory_whose_process_died_has_new_ones() -> None:
-    with Laboratory(2) as laboratory:
-        with pytest.raises(BrokenProcessPool):
-            laboratory.run([DeadlyOrder()])
-        assert laboratory.run([]) == []
-        assert laboratory._pool.submit(abs, -1).result(60) == 1
-
-
-class DeadlyOrder(Order):
-    """Ends the process that unpickles it."""
-
-    def __init__(self) -> None:
-        pass
-
-    def __reduce__(self):
-        return os._exit, (1,)
 
 
 def studied(folder: Path, *words: str) -> int:

@@ -161,6 +161,7 @@ def test_of_two_that_are_not_told_apart_what_each_is_beside_the_other_decides(fa
     found = list(rounds(Model(version="m-v0", effects=()), [], uses=CANDIDATES))
     assert tuple(r.use for r in found if r.use) == added
     assert bool(found[0].resolved) == bool(added) and found[-1].ending.startswith("no effect is named")
+    assert ("a and b were tried beside each other" in found[-1].ending) == (not added)
     assert [r.diagnosis.model for r in found] == [r.model.version for r in found]
     if len(added) == 2:
         assert "b is named beside a, and a beside b" in found[0].resolved

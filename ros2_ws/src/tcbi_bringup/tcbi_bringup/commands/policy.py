@@ -119,19 +119,21 @@ def _facts(policy: Any) -> dict[str, Any]:
 
 def _card(card: Any) -> list[list[str]]:
     """What a policy sees and sets, what it was trained on and with: rows of the table; --json has all the numbers."""
+    from tcbi_policy.configuration import TrainingConfig
+
     layout, training = card.layout, card.training
     drawn = [
         f"{name} {v['mean']:.3g} +- {v['sd']:.2g} {v['unit']}".removesuffix(" 1") for name, v in card.posterior.items()
     ]
-    noise, effects = training.get("observation_noise", 0.0), training.get("effects", ())
-    also = [f"noise of {noise:g} rad on the observation"] * bool(noise) + [f"effect {name}" for name in effects]
+    known = {key: training[key] for key in ("observation_noise", "effects", "effect_share") if key in training}
+    also = TrainingConfig(card.task, **known).randomisation()
     return [
         [f"observation ({len(layout.observation)})", ", ".join(layout.observation), layout.unit],
         [f"action ({len(layout.action)})", ", ".join(layout.action), layout.unit],
         ["limit of an action", f"{layout.limit:.4g}", layout.unit],
         ["rate", f"{layout.rate_hz:g}", "Hz"],
         ["trained on, mean +- sd", ", ".join(drawn), ""],
-        ["trained with", ", ".join(also), ""],
+        ["trained with", also, ""],
         ["libraries", ", ".join(f"{name} {version}" for name, version in card.libraries.items()), ""],
     ]
 

@@ -235,7 +235,7 @@ def goodness_of_fit(
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
     far = {name: d for name, d in (departed or {}).items() if _is_far(name, d)}
     stays_poor = bool(poor.keys() - falling)
-    lines = bounds if stays_poor else []
+    lines = list(bounds) if stays_poor else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
         f"{WIDENED}"
