@@ -1,5 +1,7 @@
 """Where histograms agree and motions do not, the model is called wrong."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
@@ -64,6 +66,17 @@ def test_a_torque_limit_that_looks_like_a_soft_servo_is_no_fit_and_its_gain_is_n
     found = infer(Problem.of(BENCH, bench_rollouts(seed=seed, duration=4.0, **TORQUE)[1]), seed=0)
     assert found.fits is False and not any(e.identified for e in found.estimates)
     assert any("no parameters reproduce joint positions in time" in line for line in found.warnings)
+
+
+@pytest.mark.parametrize("spoilt", [None, 5])
+def test_a_rollout_whose_joint_stood_still_is_named_and_no_other(spoilt: int | None) -> None:
+    rollouts = bench_rollouts()[1]
+    if spoilt is not None:
+        still = np.broadcast_to(rollouts[spoilt].joint_position[:1], rollouts[spoilt].joint_position.shape)
+        rollouts[spoilt] = dataclasses.replace(rollouts[spoilt], joint_position=still)
+    told = infer(Problem.of(BENCH, rollouts, timestep=0.01), particles=20, generations=2).warnings
+    named = [line.split()[0] for line in told if "unlike the other rollouts" in line]
+    assert named == ([] if spoilt is None else [rollouts[spoilt].rollout_id])
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tcbi_infer.tcbi.method import Generation
-from tcbi_infer.tcbi.predictive import JOINTS, Departure
-from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, estimates, goodness_of_fit, piled
+from tcbi_infer.tcbi.predictive import JOINTS, TILTS, Departure
+from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, estimates, goodness_of_fit, piled, strays
 from tcbi_sim.parameter import Parameter
 
 GAP = Parameter("gap", "rad", 0.0, 0.1, 0.03, null=0.0)
@@ -127,7 +127,7 @@ def test_a_motion_that_no_draw_makes_is_no_fit_and_the_data_count_less_for_it() 
     def judged(
         missed: float, apart: float = 4.0, misfit: float = 1.0, before: float = 1.0, error: float = 0.0123
     ) -> tuple[list[str], bool | None, float]:
-        seen, both = {JOINTS: Departure(missed, apart, error)}, (last(misfit), last(before))
+        seen, both = {JOINTS: Departure(missed, apart, error, ())}, (last(misfit), last(before))
         return goodness_of_fit((GAP, MASS), INSIDE, EQUAL, ["x"], *both, None, seen)
 
     assert judged(1.9) == ([], True, 1.0)
@@ -139,6 +139,19 @@ def test_a_motion_that_no_draw_makes_is_no_fit_and_the_data_count_less_for_it() 
     assert "miss the robot's by 0.7 deg, 3.0 times as much as each other's" in line
     assert judged(3.0, 4.0, 9.0, 9.1)[2] == 16.0 and judged(1.9, 4.0, 9.0, 9.1)[2] == 9.0
     assert judged(3.0, 4.0, 9.0, 20.0)[1] is None, "a search that still finds better fits comes first"
+
+
+def test_a_rollout_that_predictions_miss_far_more_than_the_others_is_named_where_few_are() -> None:
+    def named(*each: float, signal: str = JOINTS) -> list[str]:
+        return strays({signal: Departure(1.0, 1.0, 0.1, each)}, [f"r{i}" for i in range(len(each))])
+
+    (line,) = named(1.0, 1.2, 6.1, 1.1, 0.9, 1.3)
+    assert line.startswith("r2 is unlike the other rollouts: predictions miss its joint positions 5 times as much")
+    assert named(1.0, 1.2, 4.1, 1.1, 0.9, 1.3) == [], "less than four times the one in the middle"
+    assert named(0.2, 0.2, 1.1, 0.2, 0.2, 0.2) == [], "predictions miss it as they miss each other"
+    assert named(1.0, 1.0, 9.0, 1.0, 9.0, 1.0) == [], "a third of them is no exception"
+    assert named(1.0, 1.0, 9.0) == [], "three are too few to see which one is unlike the others"
+    assert named(1.0, 1.0, 3.9, 0.5, signal=TILTS) == [], "attitudes may depart further"
 
 
 @pytest.mark.parametrize("count", [10, 20])

@@ -34,6 +34,7 @@ from tcbi_infer.tcbi.result import (
     goodness_of_fit,
     piled,
     prior_variances,
+    strays,
     unfinished,
 )
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised
@@ -321,7 +322,7 @@ class _Loop:
         if distrust > 1 and self.method.distrusted is not None:
             log_weights = _log_shares(self.method.distrusted(self.state, distrust)[kept])
             history[-1] = {**history[-1], "alpha": last.alpha / distrust, **self._moments(unit, log_weights)}
-        lines = [*wrong, *piled(model.parameters, unit, log_weights, last)]
+        lines = [*strays(seen.signals, problem.rollout_ids), *wrong, *piled(model.parameters, unit, log_weights, last)]
         lines += [] if self.state.converged or fits is False else unfinished(last)
         copies = 2 * len(np.unique(unit, axis=0)) < len(unit)  # of few particles, after a resampling
         if not copies and (several := modes.told(model.parameters, unit, np.exp(log_weights))):

@@ -34,6 +34,7 @@ class Departure(NamedTuple):
     missed: float  # by the nearest mixture of predictions, in times by how much they miss each other
     apart: float  # from the posterior's nearest draw, in times how far the draws lie from each other
     error: float  # rad, root mean square of what that mixture misses
+    rollouts: tuple[float, ...]  # `missed` of each rollout, by the mixture that is nearest to all of them
 
 
 class Departures(NamedTuple):
@@ -60,7 +61,10 @@ class _Traces(NamedTuple):
         )  # fmt: skip
 
     def products(self) -> dict[str, np.ndarray]:
-        """(V, V) for each signal, rad^2: mean products of what V valid simulations differ from the robot."""
+        """(R, V, V) for each signal, rad^2: mean products of what V valid simulations differ from each rollout.
+
+        Their sum over R rollouts is that of the mean products over all of them: a longer rollout weighs more.
+        """
         signals = {JOINTS: self.joint_position, TILTS: self.roll_pitch}
         return {name: _products(groups, self.valid) for name, groups in signals.items() if groups}
 
@@ -85,7 +89,7 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
     if found.valid.sum() < LEAST_DRAWS:
         return Departures({}, len(draws))
     ended, wide = draws[found.valid], found.products()
-    best = (_mixture(wide[JOINTS]) @ ended).clip(ended.min(axis=0), ended.max(axis=0))
+    best = (_mixture(wide[JOINTS].sum(axis=0)) @ ended).clip(ended.min(axis=0), ended.max(axis=0))
     close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
     near: _Traces = _simulate_scattered(replayed, close, rng)
     simulated = len(draws) + len(close)
@@ -119,16 +123,10 @@ def _differences(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.nda
 
 
 def _products(groups: tuple[np.ndarray, ...], valid: np.ndarray) -> np.ndarray:
-    """(V, V) of (N, S, T, C) differences in each group, for (N,) bool simulations, V of them valid."""
-    count, samples = int(valid.sum()), 0
-    found = np.zeros((count, count))
-    for group in groups:
-        for rollout in np.moveaxis(group[valid], 1, 0):
-            flat = rollout.reshape(count, -1).astype(float)
-            flat = flat[:, np.isfinite(flat).all(axis=0)]
-            found += flat @ flat.T
-            samples += flat.shape[1]
-    return found / max(samples, 1)
+    """(R, V, V) of (N, S, T, C) differences in each group, for (N,) bool simulations, V of them valid."""
+    flat = [rollout.reshape(len(rollout), -1).astype(float) for g in groups for rollout in np.moveaxis(g[valid], 1, 0)]
+    told = [values[:, np.isfinite(values).all(axis=0)] for values in flat]
+    return np.stack([values @ values.T for values in told]) / max(sum(values.shape[1] for values in told), 1)
 
 
 def _mixture(products: np.ndarray, ridge: float | None = None) -> np.ndarray:
@@ -152,18 +150,20 @@ def _apart(products: np.ndarray) -> float:
 
 
 def _departure(close: np.ndarray, wide: np.ndarray) -> Departure:
-    """Of (V, V) mean products of the differences from the robot, of the close draws and of the posterior's."""
-    ridge = _ridge(close)
+    """Of (R, V, V) products of the differences from the robot, of the close draws and of the posterior's."""
+    ridge = _ridge(close.sum(axis=0))
 
-    def missed(products: np.ndarray) -> float:
-        """Root mean square of what the nearest mixture of draws leaves of differences of these mean products."""
-        weights = _mixture(products, ridge)
-        return float(np.sqrt(max(weights @ products @ weights, 0.0)))
+    def missed(products: np.ndarray) -> np.ndarray:
+        """(R + 1,) root mean squares that the nearest mixture of draws leaves in each rollout, and in all."""
+        weights = _mixture(products.sum(axis=0), ridge)
+        left = np.maximum(np.einsum("v,rvw,w->r", weights, products, weights), 0.0)
+        return np.sqrt(np.r_[left, left.sum()])
 
     def without(i: int) -> np.ndarray:
-        """Mean products of the others' differences from draw i."""
-        seen = close - close[i] - close[:, i, None] + close[i, i]
-        return np.delete(np.delete(seen, i, axis=0), i, axis=1)
+        """Products of the others' differences from draw i."""
+        seen = close - close[:, i, None] - close[:, :, i, None] + close[:, i, i, None, None]
+        return np.delete(np.delete(seen, i, axis=1), i, axis=2)
 
-    error, others = missed(close), float(np.median([missed(without(i)) for i in range(len(close))]))
-    return Departure(error / others if others > 0 else 1.0, _apart(wide), error)
+    error, others = missed(close), np.median([missed(without(i)) for i in range(close.shape[1])], axis=0)
+    *each, whole = np.divide(error, others, out=np.ones_like(error), where=others > 0).tolist()
+    return Departure(whole, _apart(wide.sum(axis=0)), float(error[-1]), tuple(each))

@@ -26,6 +26,9 @@ MISFIT_OF_ONE = 6.0  # the same of a single channel
 DEPARTED = {JOINTS: 2.0, TILTS: 4.0}
 # rad: missing less is of no account, however much it stands out; about what the encoders of small servos resolve
 NEGLIGIBLE = {JOINTS: 0.006, TILTS: 0.0045}
+STRAY = 4.0  # times as much as the rollout in the middle, that predictions miss one which is unlike the others
+STRAYS = 0.2  # share of the rollouts, beyond which they are no exceptions
+LEAST_OTHERS = 4  # rollouts, with fewer of which none is unlike the others
 NEAR = 0.05  # of a bound, in shares of the range, lie all of the best particles where it may be in the way
 UNLIKELY = 0.05  # share of a prior that is not flat, beyond which they lie where that prior may be in the way
 POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
@@ -258,6 +261,27 @@ def goodness_of_fit(
 def _is_far(signal: str, departure: Departure) -> bool:
     stands_out = departure.missed > DEPARTED[signal] and departure.apart > 1.0
     return stands_out and departure.error > NEGLIGIBLE[signal]
+
+
+def strays(departed: Mapping[str, Departure], rollouts: Sequence[str]) -> list[str]:
+    """A line for each of the few rollouts that predictions miss far more than the others.
+
+    Args:
+      departed: of `predictive.departures`.
+      rollouts: R ids, in the order of the departures.
+    """
+    lines: dict[str, str] = {}
+    for name, departure in departed.items() if len(rollouts) >= LEAST_OTHERS else ():
+        over = np.array(departure.rollouts) / max(np.median(departure.rollouts), np.finfo(float).tiny)
+        unlike = np.flatnonzero((over > STRAY) & (np.array(departure.rollouts) > DEPARTED[name]))
+        for r in unlike if len(unlike) <= max(1, STRAYS * len(rollouts)) else ():
+            lines.setdefault(
+                rollouts[r],
+                f"{rollouts[r]} is unlike the other rollouts: predictions miss its {name} {over[r]:.0f} times as much "
+                "as those of the rollout in the middle; it was spoilt (tcbi compare shows how), and is better left "
+                "out, or it shows something that the others do not",
+            )
+    return list(lines.values())
 
 
 def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> dict[str, str]:
