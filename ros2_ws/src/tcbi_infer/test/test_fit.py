@@ -137,6 +137,14 @@ def test_a_use_that_diverges_at_every_size_is_not_said_to_change_nothing(fitter,
     assert (found.uses, found.untestable, found.diverging) == (("command_latency",), (), ("backlash",))
 
 
+def test_a_use_by_which_commands_get_lost_is_not_simulated_unless_the_base_model_loses_them_too(fitter):
+    base = fitter.run(MODEL.to_unit(BASE)[None], radii=())
+    found = simulate_directions(fitter.problem, base, ("lost_commands", "backlash"), fitter.sets, 0.005)
+    assert (found.uses, found.untestable, found.random) == (("backlash",), (), ("lost_commands",))
+    losing = dataclasses.replace(base, model=base.model.with_effect("lost_commands"), unit=np.append(base.unit, 0.5))
+    assert not simulate_directions(fitter.problem, losing, ("backlash",), fitter.sets, 0.005).random
+
+
 def test_uses_show_in_the_motions_in_which_the_base_model_does_not_diverge(fitter, monkeypatch):
     base = fitter.run(MODEL.to_unit(BASE)[None], radii=())
     diverge(monkeypatch, everywhere)

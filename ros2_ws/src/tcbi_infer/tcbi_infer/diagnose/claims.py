@@ -10,6 +10,8 @@ from tcbi_infer.diagnose.false_alarms import false_alarms
 from tcbi_infer.diagnose.null import Null
 from tcbi_infer.diagnose.settings import Settings
 
+AT_RANDOM = "a replay loses other commands than the robot did"
+
 
 def claims(kinds: int, sealed: int, null: Null, floor: NoiseFloor, settings: Settings) -> list[str]:
     """What was held out, the rate of false alarms, and where the noise floor comes from.
@@ -52,9 +54,10 @@ def left_out(left: Sequence[str], uses: Sequence[str]) -> list[str]:
     return [f"Not tried: {', '.join(told)}."] if told else []
 
 
-def diverging(uses: Sequence[str]) -> list[str]:
-    """A sentence on the candidates that could not be simulated."""
-    return [f"Not tested, since simulations with it diverge: {', '.join(uses)}."] if uses else []
+def not_simulated(diverging: Sequence[str], random: Sequence[str]) -> list[str]:
+    """Sentences on the candidates whose simulations diverge, and on those that no simulation can repeat."""
+    told = [f"Not tested, since simulations with it diverge: {', '.join(diverging)}."] if diverging else []
+    return told + [f"Not tested, since {AT_RANDOM}: {', '.join(random)}."] * bool(random)
 
 
 def bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:

@@ -23,7 +23,7 @@ from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.agreement import agreement, disagreeing
 from tcbi_infer.diagnose.base_fit import base_starts, better_base, fit_base
 from tcbi_infer.diagnose.candidates import tried, untried
-from tcbi_infer.diagnose.claims import bounds, claims, diverging, left_out
+from tcbi_infer.diagnose.claims import AT_RANDOM, bounds, claims, left_out, not_simulated
 from tcbi_infer.diagnose.detectable import Background, detectable_sizes
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
@@ -289,14 +289,18 @@ class _Run:
             claims=tuple(
                 claims(kinds, len(sealed), null, self.floor, self.settings)
                 + left_out(left, self.uses)
-                + diverging(directions.diverging)
+                + not_simulated(directions.diverging, directions.random)
                 + bounds(base, [e for e in ranking if e.use in ruling.uses])
                 + [a.statement for use in ruling.uses or ("",) for a in disagreeing(agreed.get(use, ()))]
             ),
             base=base,
             moments=tuple(judge.moments(before, after)) if after else (),
             false_alarms=false_alarms(null),
-            detectable=(*detectable, *(DetectableSize(use, reason=DIVERGES) for use in directions.diverging)),
+            detectable=(
+                *detectable,
+                *(DetectableSize(use, reason=DIVERGES) for use in directions.diverging),
+                *(DetectableSize(use, reason=AT_RANDOM) for use in directions.random),
+            ),
             next_motions=self._next_motions(ruling, ranking, before, after, detectable),
             leftover=leftover,
             agreement=agreed,
