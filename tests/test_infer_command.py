@@ -26,8 +26,14 @@ def test_json_has_the_contracts_keys_and_nothing_else_is_on_standard_output(bags
     assert {"model", "method", "parameters", "ess", "simulations", "seconds"} <= set(found)
     assert set(found["parameters"][0]) >= {"name", "unit", "mean", "sd", "low90", "high90", "identified"}
     looked = found["simulations"] - 2 * 20 * 4  # at draws of the posterior, in every rollout
-    assert found["method"] == "calibrated" and 0 < looked <= 40 * 4 and looked % 4 == 0
+    assert found["method"] == "calibrated" and 0 < looked <= (40 + 4 * 24) * 4 and looked % 4 == 0
     assert "open loop" in captured.err
+    assert found["prior"] == "flat" and found["fits"] in (True, False, None)
+    claims = {"yes", "not surely", "no: little more than the prior", "cannot say"} if found["fits"] else set()
+    assert {p["told"] for p in found["parameters"]} <= claims | {
+        "cannot say: too few generations",
+        "not told: the model fits poorly",
+    }
     assert found["settings"].items() >= {"seed": 0, "divergence": "js", "particles": 20, "generations": 2}.items()
     saved = ModelStore(tmp_path).load(found["model"])
     assert saved.parent == f"{RIG}-v0"
@@ -46,6 +52,7 @@ def test_few_effective_particles_tell_nothing_whatever_their_spread(bags, tmp_pa
     page = tmp_path / "page.html"
     assert infer(bags, tmp_path, "--particles", "10", "--generations", "1", "--report", str(page)) == 0
     text = capsys.readouterr().out
+    assert "--advise" not in text, "nothing could be advised"
     assert text.count("cannot say") == 3 and "fewer than 10 effective particles tell nothing" in text
     assert page.read_text().count("cannot say") == 3, "the report says the same"
 

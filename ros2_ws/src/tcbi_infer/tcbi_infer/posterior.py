@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.result import Result
 from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
@@ -59,6 +60,7 @@ def dataset(result: Result) -> "xr.DataTree":
             "ess": result.ess,
             "simulations": result.simulations,
             "converged": int(result.converged),
+            "fits": json.dumps(result.fits if find_method(result.method).judges else None),
             "settings": json.dumps(result.settings),
             "warnings": json.dumps(result.warnings),
         }

@@ -6,8 +6,8 @@ import pytest
 from tcbi_infer.divergence import Binning
 from tcbi_infer.tcbi.calibration import floors
 from tcbi_infer.tcbi.features import Observed, binned, divergences
+from tcbi_infer.tcbi.goodness import POOR
 from tcbi_infer.tcbi.pooled import JensenShannon
-from tcbi_infer.tcbi.result import POOR
 from tcbi_infer.tcbi.rollouts import blocks_for
 
 

@@ -8,9 +8,8 @@ from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
 
 from tcbi_infer.tcbi import driver, problem
 from tcbi_infer.tcbi.driver import infer
-from tcbi_infer.tcbi.predictive import CLOSE_DRAWS, JOINTS, TILTS, departures
+from tcbi_infer.tcbi.predictive import CLOSE_DRAWS, DEPARTED, JOINTS, TILTS, departures
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.result import DEPARTED
 from tcbi_sim.model import base_model
 
 BENCH = base_model("servo_bench")
@@ -35,7 +34,19 @@ def test_a_robot_with_an_attitude_is_followed_in_it_too_and_few_draws_say_nothin
     robot = Problem.of(base_model("hexapod"), hexapod_rollouts("balance"), timestep=0.01)
     draws = around((0.5, 0.5, 0.5), 0.1, count=12)
     assert set(departures(robot, draws, np.zeros(12)).signals) == {JOINTS, TILTS}
-    assert departures(robot, draws, np.r_[0.0, np.full(11, -40.0)]) == ({}, 1)
+    assert departures(robot, draws, np.r_[0.0, np.full(11, -40.0)]) == ({}, 1, ())
+
+
+def test_a_wide_posterior_is_looked_through_until_what_is_missed_falls_no_further() -> None:
+    """Draws of the prior: the first look about the best mixture misses by more than a right model's predictions may."""
+    rng = np.random.default_rng(1)
+    for seed in range(3):
+        robot = Problem.of(BENCH, bench_rollouts(seed=seed)[1])
+        told = departures(robot, rng.random((48, 3)), np.zeros(48))
+        assert not told.far and np.abs(np.array(told.nearest) - BENCH_TRUTH).max() < 0.2
+        late = bench_rollouts((*BENCH_TRUTH, 0.6), effects=("command_latency",), seed=seed)[1]
+        told = departures(Problem.of(BENCH, late), rng.random((48, 3)), np.zeros(48))
+        assert told.far and told.particles > 48 + CLOSE_DRAWS * 3, "it looked again"
 
 
 def test_it_takes_no_more_memory_than_a_generation_and_says_the_same_in_parts(monkeypatch) -> None:

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tcbi_infer.tcbi.goodness import goodness_of_fit, piled, strays
 from tcbi_infer.tcbi.method import Generation
-from tcbi_infer.tcbi.predictive import JOINTS, TILTS, Departure
-from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, estimates, goodness_of_fit, piled, strays
+from tcbi_infer.tcbi.predictive import JOINTS, TILTS, Departure, Departures
+from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, estimates
 from tcbi_sim.parameter import Parameter
 
 GAP = Parameter("gap", "rad", 0.0, 0.1, 0.03, null=0.0)
@@ -76,6 +77,31 @@ def test_where_a_versions_prior_reaches_an_end_the_range_may_still_exclude_the_d
     assert line.startswith("the prior of mass seems to exclude the data: what fits best lies at its high end, 1.5 kg")
 
 
+def test_a_range_beyond_which_predictions_come_nearest_excludes_the_data_where_the_model_is_wrong() -> None:
+    def said(gap: float, mass: float, missed: float = 9.0) -> list[str]:
+        departed = Departures({JOINTS: Departure(missed, 4.0, 0.1, ())}, 0, (gap, mass))
+        lines = told((GAP, MASS), INSIDE, EQUAL, ["x"], last(0.1), last(0.1), None, departed)[0]
+        return [line for line in lines if "exclude" in line]
+
+    (line,) = said(0.5, 1.2)
+    assert line.startswith(
+        "the prior of mass seems to exclude the data: predictions come nearest to the robot's motion"
+    )
+    assert "with values above its end of 1.5 kg; its range" in line
+    assert "below its end of 0.5 kg" in said(0.5, -0.2)[0] and "above its end of 0.1 rad" in said(1.2, 0.5)[0]
+    assert said(-0.5, 0.5) == [], "beyond the null value there is nothing"
+    assert said(0.5, 1.05) == [], "extrapolations are rough"
+    assert said(0.5, 1.2, missed=1.0) == [], "the model fits"
+
+
+def test_an_interval_that_reaches_a_bound_of_a_parameter_that_is_told_may_be_cut_off() -> None:
+    low = np.column_stack([np.linspace(0.001, 0.3, 40), np.linspace(0.001, 0.3, 40)])
+    assert piled((GAP, MASS), low, EQUAL, last(0.1)) == []
+    (line,) = piled((GAP, MASS), low, EQUAL, last(0.1), {"gap", "mass"})
+    assert line.startswith("the posterior of mass reaches its low end, 0.5 kg, which may cut it off")
+    assert piled((GAP, MASS), low + 0.1, EQUAL, last(0.1), {"gap", "mass"}) == []
+
+
 def test_an_effect_that_is_absent_is_told_so_and_no_wider_prior_is_asked_for() -> None:
     assert told((GAP, MASS), AT_BOUND, EQUAL, ["x"], last(2.0), last(2.1)) == ([], True)
     assert "where the effect is absent" in piled((GAP, MASS), AT_BOUND, EQUAL, last(2.0))[0]
@@ -127,7 +153,7 @@ def test_a_motion_that_no_draw_makes_is_no_fit_and_the_data_count_less_for_it() 
     def judged(
         missed: float, apart: float = 4.0, misfit: float = 1.0, before: float = 1.0, error: float = 0.0123
     ) -> tuple[list[str], bool | None, float]:
-        seen, both = {JOINTS: Departure(missed, apart, error, ())}, (last(misfit), last(before))
+        seen, both = Departures({JOINTS: Departure(missed, apart, error, ())}, 0), (last(misfit), last(before))
         return goodness_of_fit((GAP, MASS), INSIDE, EQUAL, ["x"], *both, None, seen)
 
     assert judged(1.9) == ([], True, 1.0)
@@ -143,7 +169,7 @@ def test_a_motion_that_no_draw_makes_is_no_fit_and_the_data_count_less_for_it() 
 
 def test_a_rollout_that_predictions_miss_far_more_than_the_others_is_named_where_few_are() -> None:
     def named(*each: float, signal: str = JOINTS) -> list[str]:
-        return strays({signal: Departure(1.0, 1.0, 0.1, each)}, [f"r{i}" for i in range(len(each))])
+        return strays(Departures({signal: Departure(1.0, 1.0, 0.1, each)}, 0), [f"r{i}" for i in range(len(each))])
 
     (line,) = named(1.0, 1.2, 6.1, 1.1, 0.9, 1.3)
     assert line.startswith("r2 is unlike the other rollouts: predictions miss its joint positions 5 times as much")

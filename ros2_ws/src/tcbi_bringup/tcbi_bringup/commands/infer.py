@@ -113,6 +113,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, infer, save, print."""
     from tcbi_infer import posterior
     from tcbi_infer.report import Report, add_inference, add_kept_ladder
+    from tcbi_infer.tcbi.advice import hindrance
     from tcbi_infer.tcbi.driver import Interrupted, infer
     from tcbi_infer.tcbi.method import find_method
     from tcbi_infer.tcbi.problem import Problem
@@ -172,10 +173,10 @@ def run(args: argparse.Namespace) -> int:
         beside = (
             {"truth": [beside_truth(e, truth[e.name]) for e in result.estimates if e.name in truth]} if truth else {}
         )
-        console.emit({**as_json(result, saved.version), **beside, **advised, "report": str(path)})
+        console.emit({**as_json(result, method, saved.version), **beside, **advised, "report": str(path)})
     else:
         unknown = [e.name for e in result.estimates if not e.identified]
-        if method.judges and result.fits and unknown and advice is None:
+        if method.judges and unknown and advice is None and not hindrance(result):
             print(f"next: the same with --advise says which motions would tell {', '.join(unknown)}")
         for a in advice or ():
             print(a.line())
@@ -211,14 +212,18 @@ def _statistics(given: str, own: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*own, *named))) if given.startswith("+") or not named else named
 
 
-def as_json(result: "Result", version: str) -> dict[str, Any]:
+def as_json(result: "Result", method: "Method", version: str) -> dict[str, Any]:
     """The contract's object, and a little more."""
+    from tcbi_infer.report.inference import told_by_data
+
     return {
         "model": version,
         "parent": result.model.version,
         "method": result.method,
         "task": result.task,
-        "parameters": [e.as_json() for e in result.estimates],
+        "prior": "flat" if result.prior is None else result.model.version,
+        "fits": result.fits if method.judges else None,
+        "parameters": [{**e.as_json(), "told": told_by_data(e, result, method)} for e in result.estimates],
         "ess": result.ess,
         "simulations": result.simulations,
         "seconds": result.seconds,

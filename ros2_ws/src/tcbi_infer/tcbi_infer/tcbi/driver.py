@@ -23,20 +23,13 @@ import numpy as np
 from tcbi_contract.errors import describe
 from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
+from tcbi_infer.tcbi.goodness import goodness_of_fit, piled, strays, unfinished
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.pooled import JS
 from tcbi_infer.tcbi.predictive import Departures, departures
 from tcbi_infer.tcbi.prior import doubtful
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.result import (
-    Result,
-    estimates,
-    goodness_of_fit,
-    piled,
-    prior_variances,
-    strays,
-    unfinished,
-)
+from tcbi_infer.tcbi.result import Result, estimates, prior_variances
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised
 from tcbi_sim.engine import SimError
 from tcbi_sim.errors import UnknownNameError
@@ -316,13 +309,16 @@ class _Loop:
         with _simulating():
             seen = departures(problem, unit, log_weights) if self.method.judges else Departures({}, 0)
         wrong, fits, distrust = goodness_of_fit(
-            model.parameters, unit, log_weights, self.statistics, last, before, self.known, seen.signals
+            model.parameters, unit, log_weights, self.statistics, last, before, self.known, seen
         )
         history = list(self.history)
         if distrust > 1 and self.method.distrusted is not None:
             log_weights = _log_shares(self.method.distrusted(self.state, distrust)[kept])
             history[-1] = {**history[-1], "alpha": last.alpha / distrust, **self._moments(unit, log_weights)}
-        lines = [*strays(seen.signals, problem.rollout_ids), *wrong, *piled(model.parameters, unit, log_weights, last)]
+        lines = [*strays(seen, problem.rollout_ids), *wrong]
+        judged = self.method.judges and fits is True and not (self.known is not None and doubtful(model))
+        found = estimates(model.parameters, unit, log_weights, self.known, judged)
+        lines += piled(model.parameters, unit, log_weights, last, {e.name for e in found if e.identified})
         lines += [] if self.state.converged or fits is False else unfinished(last)
         copies = 2 * len(np.unique(unit, axis=0)) < len(unit)  # of few particles, after a resampling
         if not copies and (several := modes.told(model.parameters, unit, np.exp(log_weights))):
@@ -333,14 +329,12 @@ class _Loop:
                 f"{diverged} of {particles} particles diverged in a rollout and weigh nothing: the model is "
                 "unstable there, or the time step too long (--timestep)"
             )
-        judged = self.method.judges and fits is True and not (self.known is not None and doubtful(model))
         resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
         simulated = (self.method.simulations(self.state, self.settings) + seen.particles) * len(problem.rollout_ids)
         seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
-            estimates(model.parameters, unit, log_weights, self.known, judged),
-            _distinct(unit, np.exp(log_weights)),
+            found, _distinct(unit, np.exp(log_weights)),
             simulated, seconds, tuple(history), bool(self.state.converged), problem.closed_loop,
             (*problem.warnings, *resumed, *lines), self.known, fits,
             None if self.place is None else self.place / "state.npz", self._how(),

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tcbi_policy.artefact import GAIT_PREFIX, find_policy
-from tcbi_policy.errors import PolicyError
+from tcbi_policy.errors import PolicyError, PolicyNotFound
 from tcbi_policy.reward import counts_distance, has_reward
 from tcbi_sim.engine import Controller
 from tcbi_sim.measurement import Measurement
@@ -49,7 +49,7 @@ def find_controllers(
             except PolicyError as e:
                 if loop == CLOSED:
                     raise PolicyError(f"closed loop: {e}") from e  # the rollouts name it, not the user
-                faults.append(str(e))
+                faults.append(f"{policy_id} is not here" if isinstance(e, PolicyNotFound) else str(e))
     return found, _said(
         list(found), [*reasons, *([f"a policy cannot be loaded ({'; '.join(faults)})"] if faults else [])]
     )

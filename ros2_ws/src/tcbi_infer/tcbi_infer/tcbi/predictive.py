@@ -5,8 +5,9 @@ recorded commands are replayed with draws of the posterior, and joints and attit
 mixture of draws that comes nearest to the robot (an affine one, whose weights a ridge holds back) says which parameters
 would move most like it. More draws are simulated close to these, whose servos differ from one another as servos of one
 make do. If the robot were one more of them, the nearest mixture would miss it by as much as it misses any of them that
-is left out. This is a posterior predictive check (Gelman, Meng and Stern 1996) that a wide posterior does not blunt:
-close to the best parameters draws differ by little.
+is left out. Where it misses more, and less with every look, the look is repeated closer to the robot. This is a
+posterior predictive check (Gelman, Meng and Stern 1996) that a wide posterior does not blunt: close to the best
+parameters draws differ by little.
 """
 
 import dataclasses
@@ -26,6 +27,12 @@ CLOSE_DRAWS = 8  # about the best mixture, for each parameter
 CLOSE = 0.06  # their standard deviation, in shares of a parameter's range
 RIDGE = 0.1  # of the draws' mean variance: holds weights back that would follow noise
 JOINTS, TILTS = "joint positions", "roll and pitch"
+# times as much as each other's, that predictions miss the robot's motion: where the model is wrong
+DEPARTED = {JOINTS: 2.0, TILTS: 4.0}
+# rad: missing less is of no account, however much it stands out; about what the encoders of small servos resolve
+NEGLIGIBLE = {JOINTS: 0.006, TILTS: 0.0045}
+ROUNDS = 4  # at most, in which draws are simulated ever closer to the best mixture while that misses too much
+CLOSER = 0.8  # of what was missed, at most, for a further round
 
 
 class Departure(NamedTuple):
@@ -42,6 +49,12 @@ class Departures(NamedTuple):
 
     signals: dict[str, Departure]  # that were measured; empty if too few simulations ended well
     particles: int  # simulated for it
+    nearest: tuple[float, ...] = ()  # (P,) of the mixture of posterior draws that comes nearest; beyond 0 and 1, too
+
+    @property
+    def far(self) -> dict[str, Departure]:
+        """The signals in which the model moves otherwise than the robot."""
+        return {name: d for name, d in self.signals.items() if _is_far(name, d)}
 
 
 class _Traces(NamedTuple):
@@ -89,14 +102,29 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
     if found.valid.sum() < LEAST_DRAWS:
         return Departures({}, len(draws))
     ended, wide = draws[found.valid], found.products()
-    best = (_mixture(wide[JOINTS].sum(axis=0)) @ ended).clip(ended.min(axis=0), ended.max(axis=0))
-    close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
-    near: _Traces = _simulate_scattered(replayed, close, rng)
-    simulated = len(draws) + len(close)
-    if near.valid.sum() < LEAST_DRAWS:
-        return Departures({}, simulated)
-    narrow = near.products()
-    return Departures({name: _departure(narrow[name], wide[name]) for name in narrow}, simulated)
+    nearest = best = _mixture(wide[JOINTS].sum(axis=0)) @ ended
+    told = Departures({}, len(draws), tuple(nearest.tolist()))
+    for _ in range(ROUNDS):
+        best = best.clip(ended.min(axis=0), ended.max(axis=0))
+        close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
+        near: _Traces = _simulate_scattered(replayed, close, rng)
+        told = told._replace(particles=told.particles + len(close))
+        if near.valid.sum() < LEAST_DRAWS:
+            return told
+        ended, narrow = close[near.valid], near.products()
+        signals = {name: _departure(narrow[name], wide[name]) for name in narrow}
+        before = told.signals[JOINTS].error if told.signals else np.inf
+        if signals[JOINTS].error < before:
+            told = told._replace(signals=signals)
+        if not told.far or signals[JOINTS].error > CLOSER * before:
+            return told
+        best = _mixture(narrow[JOINTS].sum(axis=0)) @ ended
+    return told
+
+
+def _is_far(signal: str, departure: Departure) -> bool:
+    stands_out = departure.missed > DEPARTED[signal] and departure.apart > 1.0
+    return stands_out and departure.error > NEGLIGIBLE[signal]
 
 
 def _simulate_scattered(problem: Problem, unit: np.ndarray, rng: np.random.Generator) -> _Traces:

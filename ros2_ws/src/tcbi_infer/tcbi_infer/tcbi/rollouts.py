@@ -58,6 +58,7 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
             f"model {model.version} is of rig {model.rig}, but {some(wrong)} {_are(wrong)} of {', '.join(others)}; "
             "infer each rig's rollouts with a model of that rig"
         )
+    measurements = [_finite(m) for m in measurements]
     usable = [m for m in measurements if len(m.time) >= LEAST_SAMPLES and len(m.commands.time)]
     if len(usable) < len(measurements):
         short = [m.rollout_id for m in measurements if not (len(m.time) >= LEAST_SAMPLES and len(m.commands.time))]
@@ -75,8 +76,8 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
         )
     if len(distinct) < 2:
         raise InferError(
-            f"{len(distinct)} usable rollout(s), at least 2 are needed to see how rollouts differ (20 advised); "
-            "record more"
+            f"{counted(len(distinct), 'usable rollout')}, at least 2 are needed to see how rollouts differ (20 "
+            f"advised); record more{''.join(f'; {line}' for line in warnings)}"
         )
     first: dict[tuple[bytes | None, ...], Measurement] = {}
     for m in distinct:
@@ -92,6 +93,13 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
             f"{counted(copies, 'rollout')} left out: another one again to the last bit, which tells nothing new"
         )
     return unlike, warnings + _mixture(unlike)
+
+
+def _finite(m: Measurement) -> Measurement:
+    """The same, with NaN, which stands for no reading, where a reading is infinite."""
+    signals = {name: getattr(m, name) for name in SIGNALS}
+    endless = {name: v for name, v in signals.items() if v is not None and v.dtype.kind == "f" and np.isinf(v).any()}
+    return dataclasses.replace(m, **{name: np.where(np.isinf(v), np.nan, v) for name, v in endless.items()})
 
 
 def _signals(m: Measurement) -> tuple[bytes | None, ...]:
@@ -114,7 +122,8 @@ def _without_the_blind(measurements: list[Measurement]) -> tuple[list[str], list
 def _torn(m: Measurement) -> bool:
     """Whether samples or commands are missing in it, or a signal for more than `MOST_SILENT` of it."""
     found = unusable(m, np.arange(m.time[0], m.time[-1], FINE_S))
-    return bool(found.samples.any()) or any(lost.mean() > MOST_SILENT for lost in found.signals.values())
+    unread = np.isnan(m.joint_position).any(axis=1).mean() > MOST_SILENT
+    return bool(unread or found.samples.any()) or any(lost.mean() > MOST_SILENT for lost in found.signals.values())
 
 
 def _mixture(measurements: Sequence[Measurement]) -> list[str]:
