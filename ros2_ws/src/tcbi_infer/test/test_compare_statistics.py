@@ -9,6 +9,7 @@ from tcbi_infer.compare.guards import check_recording, guard
 from tcbi_infer.compare.noise import autocorrelation_time, from_fast_changes, noise_floor
 from tcbi_infer.compare.replicates import SURE_KINDS, Replicates, find_replicates, split
 from tcbi_infer.compare.signals import JOINT, Layout, reference, window_mean
+from tcbi_infer.compare.wiring import unjudged
 from tcbi_infer.diagnose.paired import LEVEL, level
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.rigs import load_rig
@@ -165,6 +166,26 @@ def test_a_joint_that_stands_still_while_it_is_asked_to_move_is_named():
     position[80:, 4] = position[80, 4]
     (finding,) = check_recording(dataclasses.replace(sound, joint_position=position))
     assert finding.startswith(f"{sound.joint_names[4]} stays where it is from 1.6") and "servo dead" in finding
+
+
+def test_the_way_to_the_first_command_is_no_motion_that_a_frozen_joint_missed():
+    sound = recording()
+    target, position = sound.commands.target.copy(), sound.joint_position.copy()
+    target[:, 4], position[:, 4] = 0.9, 0.0
+    still = dataclasses.replace(sound, joint_position=position, commands=Commands(sound.commands.time, target))
+    assert not any("stays where it is" in finding for finding in check_recording(still))
+
+
+@pytest.mark.parametrize(("stands_at", "told"), [(-0.85, True), (0.85, False), (-0.5, False)])
+def test_a_joint_that_stands_at_the_opposite_of_its_command_may_be_mirrored(stands_at, told):
+    sound = recording()
+    target, position = sound.commands.target.copy(), sound.joint_position.copy()
+    target[:, 4], position[:, 4] = 0.9, stands_at
+    still = dataclasses.replace(sound, joint_position=position, commands=Commands(sound.commands.time, target))
+    name = sound.joint_names[4]
+    expected = [f"{name} stands at the opposite of its command: its sign may be mirrored"] * told
+    assert [f for f in check_recording(still) if "mirrored" in f] == expected
+    assert unjudged([still]) == (name,) and unjudged([still, sound]) == () == unjudged([sound])
 
 
 def test_a_broken_reading_is_named_and_taken_for_no_other_unit():

@@ -175,15 +175,20 @@ def test_rollouts_of_another_robot_are_refused():
 
 
 @pytest.mark.parametrize("place", [0.5, 0.9, 0.03, 0.0])
-@pytest.mark.parametrize("sd", [0.001, 0.05, 0.8])
-def test_the_particles_mean_is_the_fit_also_beside_a_bound(place, sd):
+@pytest.mark.parametrize("sd", [0.001, 0.05, 0.2, 0.8])
+def test_the_particles_have_the_fits_mean_and_its_intervals_far_end_also_beside_a_bound(place, sd):
     model = base_model("servo_bench")
     correlation = np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
     values = model.from_unit(np.array([0.5, 0.5, place]))
     unit = model.to_unit(adopt.draw(model, values, sd**2 * correlation, 0))
-    assert unit.mean(axis=0) == pytest.approx(model.to_unit(values), abs=1e-3 * min(sd, 0.3) + 2e-6)
+    least = 0.3 * min(sd, 12**-0.5)  # from a bound, without which there is no spread
+    assert unit.mean(axis=0) == pytest.approx(np.maximum([0.5, 0.5, place], least), abs=0.01 * min(sd, 0.3))
     assert np.all((unit >= 0.0) & (unit <= 1.0)) and np.corrcoef(unit.T)[0, 1] == pytest.approx(0.8, abs=0.1)
     assert unit.std(axis=0)[0] == pytest.approx(min(sd, np.sqrt(1 / 12)), rel=0.02)
+    if sd <= 0.2:
+        far, end = (0.05, -1) if place > 0.5 else (0.95, 1)
+        expected = np.clip(place + end * 1.645 * sd, 0.0, 1.0)
+        assert abs(np.quantile(unit[:, 2], far) - expected) < 0.3 * sd
 
 
 def test_an_effect_that_the_model_has_is_not_shown_again(late, monkeypatch):

@@ -63,8 +63,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(comparison: "Comparison", rungs: "Sequence[Rung]", path: Path) -> None:
-    for guard in comparison.guards:
-        print(f"note: {guard}")
+    for line in (*comparison.guards, *comparison.not_checked):
+        print(f"note: {line}")
     errors = (*comparison.signals, *comparison.statistics)
     rows = [[s.name, s.unit, s.error, s.noise_floor, s.floor_from, s.ratio, s.coverage90, s.crps] for s in errors]
     head = ["signal", "unit", "error", "noise floor", "from", "error / floor", "inside 90 % band", "CRPS"]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tcbi_contract.wording import some
 from tcbi_infer.compare import task
 from tcbi_infer.compare.common_lag import common_lag
 from tcbi_infer.compare.errors import CompareError
@@ -14,8 +15,9 @@ from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, un
 from tcbi_infer.compare.locate import locate
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.compare.scorer import Scorer, SignalError, Traces, error_over_floor
+from tcbi_infer.compare.scorer import Scorer, SignalError, Traces, error_over_floor, in_words
 from tcbi_infer.compare.steadiness import unsteady
+from tcbi_infer.compare.wiring import unjudged
 from tcbi_infer.compare.worst import WorstMoment, worst
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -37,7 +39,8 @@ class Comparison:
       statistics: what the task is about, one figure a rollout: return, final inclination, contact ratios, …
       error_over_floor: root mean square of `ratio` over joints and attitude; infinite where the model diverged.
       guards: findings about the recording and the replay, to be read before any figure.
-      unchecked: rollouts of which no clock, wiring or unit could be checked.
+      unchecked: rollouts of which no clock, wiring or unit could be checked; `unjudged` joints that in the others move
+        too little to tell their wiring.
       worst: the moments to look at first, the worst one in front.
       distance: travelled, over time; None where no tracker told.
       predicted: (R, T, C) with the model's mean parameters; `low`, `high` bound the predictive 90 % band.
@@ -58,6 +61,25 @@ class Comparison:
     worst: tuple[WorstMoment, ...] = ()
     distance: Traces | None = None
     unchecked: tuple[str, ...] = ()
+    unjudged: tuple[str, ...] = ()
+
+    @property
+    def not_checked(self) -> list[str]:
+        """Sentences on what of the recording could not be checked."""
+        told = []
+        if self.unchecked:
+            none = len(self.unchecked) == len(self.rollouts)
+            where = "" if none else f" in {in_words([self.rollouts.index(r) for r in self.unchecked], self.rollouts)}"
+            told.append(
+                f"Clocks, wiring and units{where} could not be checked: the commands are torques, the joints hardly "
+                "move, or there are too few samples."
+            )
+        if self.unjudged:
+            told.append(
+                "Wiring and sign of these could not be checked, since they or their commands hardly move: "
+                f"{some(self.unjudged)}."
+            )
+        return told
 
     def to_json(self) -> dict[str, Any]:
         """The keys of the contract, and a few more."""
@@ -69,6 +91,8 @@ class Comparison:
             "error_over_floor": self.error_over_floor,
             "floor_from_replicates": self.floor.from_replicates,
             "guards": list(self.guards),
+            "unchecked": list(self.unchecked),
+            "unjudged": list(self.unjudged),
             "where": [self._place(f) for f in self.where],
             "worst": [moment.to_json() for moment in self.worst],
         }
@@ -153,7 +177,8 @@ def compare(
         scorer.high,
         tuple(worst(replay, predicted, floor.values)),
         scorer.traces(task.DISTANCE),
-        unchecked([m for m in measurements if m.rollout_id in names]),
+        unchecked(compared := [m for m in measurements if m.rollout_id in names]),
+        unjudged(compared),
     )
 
 

@@ -13,22 +13,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tcbi_contract.wording import counted
-from tcbi_infer.compare.clocks import LONGEST, MOVES, Following, aligned, clock_rate, correlation
+from tcbi_infer.compare.clocks import LONGEST, Following, aligned, clock_rate
 from tcbi_infer.compare.imu_guards import check_imu
 from tcbi_infer.compare.replicates import by_torque, find_replicates, nearly_repeats
 from tcbi_infer.compare.signals import reference
+from tcbi_infer.compare.wiring import echo, units, wiring
 from tcbi_infer.gaps import sample_gaps, unusable
 from tcbi_sim.measurement import Measurement
-from tcbi_sim.rig import Rig
-from tcbi_sim.rigs import load_rig, rig_names
 
-SWAPPED = 0.7  # correlation of a joint with the command that it is said to follow; less comes about by chance
-MIRRORED = -0.6  # correlation of a joint with its own command
-LEAST_WIRING = 1.0  # s of motion that wiring is judged by
-SAME = 1e-3  # rad within which positions only echo commands; no servo tracks a moving command so closely
-ECHO_LAGS = np.arange(0.0, 0.105, 0.005)  # s
-UNITS = {180 / np.pi: "degrees", 4096 / (2 * np.pi): "raw encoder counts", 1023 / np.radians(300): "raw encoder counts"}
-DROOP = 0.5  # share of its command that a joint at work still moves
 HELD = 0.4  # share of repeated samples in motion that is no chance
 SIGNALS = ("attitude", "angular_velocity", "linear_acceleration", "contact", "position")  # that may be missing
 FEW_GAPS = 5  # that are told each; a stream with more comes in bursts
@@ -39,12 +31,9 @@ IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than
 IDLE_SPAN = (0.2, 0.8)  # of its range
 STEPS = 5.0  # encoder steps between two samples in which a value must change
 SAMPLE_GAPS = (2e-4, 0.5)  # s between samples, beyond which the times rather have another unit
-BEYOND = 1.5  # of a rig's joint range, which no zero offset explains
 SPIKE = 0.3  # rad off both neighbours
-ALL_BUT_SPIKES = 0.99  # of the samples
 FROZEN_S = 1.5  # s in which a joint stays within STILL while its command goes FROZEN to and fro
 STILL, FROZEN = 0.005, 0.6  # rad; dry friction holds a soft servo (kp 100 to 800 of an XL330) against 0.3
-RUSH = 5.0  # times the speed of a rig's joint without load
 
 
 def idle_parameter(name: str) -> str:
@@ -74,7 +63,7 @@ def to_mend(measurements: Sequence[Measurement]) -> list[str]:
     findings = []
     for m in measurements:
         following = Following(m) if _ordered(m) else None
-        found = [] if following is None else [*_units(m, following), *_echo(m, following), *_wiring(m, following)]
+        found = [] if following is None else [*units(m, following), *echo(m, following), *wiring(m, following)]
         findings.append([(re.sub(r"\d+", "", finding), finding) for finding in found])
     shared = Counter(kind for own in findings for kind in dict(own))
     often = [[finding for kind, finding in own if shared[kind] > len(measurements) / 2] for own in findings]
@@ -186,9 +175,9 @@ def check_recording(m: Measurement, following: Following | None = None) -> list[
         *_held(m),
         *_spikes(m),
         *_frozen(m),
-        *_units(m, following),
-        *_echo(m, following),
-        *_wiring(m, following),
+        *units(m, following),
+        *echo(m, following),
+        *wiring(m, following),
         *_lag(following),
         *check_imu(m),
     ]
@@ -267,7 +256,8 @@ def _frozen(m: Measurement) -> list[str]:
     """Joints that stay where they are while their command moves: a frozen reading, or a servo that does nothing."""
     if by_torque(m) or not m.commands.time.size:
         return []
-    asked, width = reference(m, m.time), int(np.searchsorted(m.time, m.time[0] + FROZEN_S))
+    begun = np.maximum(m.time, m.commands.time[0] + m.commands.ramp)  # the way to the first command does not count
+    asked, width = reference(m, begun), int(np.searchsorted(m.time, m.time[0] + FROZEN_S))
     if width < 2 or width >= len(m.time):
         return []
     stays = np.ptp(sliding_window_view(m.joint_position, width, axis=0), axis=-1) < STILL
@@ -283,91 +273,6 @@ def _frozen(m: Measurement) -> list[str]:
             f"while its command goes {moved:.0f} deg to and fro: its reading may be frozen, or its servo dead"
         )
     return found
-
-
-def _units(m: Measurement, following: Following) -> list[str]:
-    largest = float(np.quantile(np.nan_to_num(np.abs(m.joint_position)).max(axis=1), ALL_BUT_SPIKES))
-    if following.told:
-        asked, seen = following.pairs(_found(following))
-        slope = float(np.nanmedian(following.gain)) if np.isfinite(following.gain).any() else 1.0
-        if following.off_unit:
-            unit = next((name for k, name in UNITS.items() if DROOP < slope / k < 1.25), "another unit than radians")
-            return [f"Joint positions move {slope:.0f} times as far as their commands: these look like {unit}"]
-        if slope < 1 / 30 and np.median(np.abs(correlation(asked, seen))) > SWAPPED:
-            return [f"Commands move {1 / slope:.0f} times as far as the joints: these look like degrees, not radians"]
-    if largest > 30 * np.pi:
-        return ["Joint positions reach hundreds of radians: these look like raw encoder counts or degrees"]
-    turns = by_torque(m) or (following.told and slope > DROOP)  # a joint that may turn on, or was asked to
-    if largest > 4 * np.pi and not turns:
-        return ["Joint positions exceed two turns: these look like degrees, or an encoder that lost count"]
-    return [] if by_torque(m) or m.rig not in rig_names() else _beyond_rig(m, largest, load_rig(m.rig))
-
-
-def _beyond_rig(m: Measurement, largest: float, rig: Rig) -> list[str]:
-    """Positions that the rig's servos cannot reach, or not as fast: commands may be in the same wrong unit."""
-    if rig.joint_range < np.pi and largest > BEYOND * rig.joint_range:
-        return [
-            f"Joint positions reach {largest:.3g} rad, and the rig's joints at most {rig.joint_range:.3g}: these look "
-            "as if they had another unit than radians"
-        ]
-    speeds = np.nan_to_num(np.abs(np.gradient(m.joint_position, m.time, axis=0)))
-    speed = float(np.quantile(speeds.max(axis=1), 0.9))
-    if speed > RUSH * rig.speed_limit:
-        return [
-            f"The joints move at {speed:.3g} rad/s, and the rig's servos at most at {rig.speed_limit:.3g}: the "
-            "positions look as if they had another unit than radians, or the times than seconds"
-        ]
-    return []
-
-
-def _found(following: Following) -> float:
-    lag = following.lag
-    return lag if np.isfinite(lag) else 0.0
-
-
-def _echo(m: Measurement, following: Following) -> list[str]:
-    """Positions that are only the commands again: as ramps or as steps, perhaps some samples late."""
-    if not m.commands.time.size:
-        return ["There are no commands in the recording, so nothing can be replayed"]
-    if not following.told:
-        return []
-    seen = m.joint_position[:, following.joints]
-    best = np.full(len(following.joints), np.inf)
-    for lag in (lag for lag in ECHO_LAGS if following.known(lag).any()):
-        known = following.known(lag)
-        held = m.commands.target[np.clip(np.searchsorted(m.commands.time, m.time - lag + 1e-6) - 1, 0, None)]
-        for asked in (following.asked(lag), held[:, following.joints]):
-            best = np.minimum(best, np.quantile(np.abs(asked - seen)[known], 0.9, axis=0))
-    echoes = [m.joint_names[j] for j, far in zip(following.joints, best, strict=True) if far < SAME]
-    if not echoes:
-        return []
-    if len(echoes) == len(following.joints):
-        return ["Joint positions are identical to the commands: the recording echoes commands, it measures nothing"]
-    return [f"The positions of {', '.join(echoes)} are identical to their commands: these joints are not measured"]
-
-
-def _wiring(m: Measurement, following: Following) -> list[str]:
-    """Mirrored joints move against their command; swapped ones follow each other's."""
-    if not following.told or following.seconds() < LEAST_WIRING:
-        return []
-    asked, seen = following.pairs(_found(following))
-    follows = np.std(seen, axis=0) > MOVES / 2
-    if not follows.any():
-        return []
-    names = [m.joint_names[j] for j in following.joints[follows]]
-    table = np.corrcoef(asked[:, follows].T, seen[:, follows].T).reshape(2 * len(names), -1)[: len(names), len(names) :]
-    own = np.diag(table)
-    findings = [
-        f"{name} moves against its command: its sign may be mirrored"
-        for name, r in zip(names, own, strict=True)
-        if r < MIRRORED and np.isfinite(following.lag)
-    ]
-    findings += [
-        f"{names[a]} and {names[b]} follow each other's commands: they may be swapped"
-        for a, b in itertools.combinations(range(len(names)), 2)
-        if min(table[a, b], table[b, a]) > max(SWAPPED, max(own[a], own[b]) + 0.3)
-    ]
-    return findings
 
 
 def _lag(following: Following) -> list[str]:

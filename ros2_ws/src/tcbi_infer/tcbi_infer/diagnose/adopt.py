@@ -20,6 +20,10 @@ from tcbi_sim.model import Model
 
 PARTICLES = 200
 LEAST_ROOM = 1e-6  # of a range, between a fitted value and the bounds, and of its standard deviation
+FAR = 1.645  # standard deviations, to the 95 % point
+HALVINGS = 40
+STAND_OFF = 0.3  # of a standard deviation, between a mean and the bounds
+FLAT_SD = 12**-0.5  # of the flat prior, in unit space
 PREFIX = "diagnosis-"
 MOMENTS = "moments-"  # the worst moments of the diagnosis of the same name
 
@@ -100,9 +104,10 @@ def objection(diagnosis: Mapping[str, Any], use: str) -> str:
 def draw(model: Model, values: np.ndarray, spread: np.ndarray, seed: int) -> np.ndarray:
     """(N, P) draws whose means, in unit space, are the fitted values, and that stay within the bounds.
 
-    Each parameter has a Beta distribution, which far from the bounds is nearly a Gaussian. Beside a bound it is as wide
-    as this mean and a single peak allow, and nowhere wider than the flat prior. Evenly spaced quantiles of each are
-    joined with the rank correlation of Gaussian draws.
+    Each parameter has a Beta distribution, which far from the bounds is nearly a Gaussian. Beside a bound its far end
+    is that of the 90 % interval, as far as this mean and a single peak, perhaps at the bound, allow; it is nowhere
+    wider than the flat prior, and a mean at a bound stands off by a share of the spread, without which there is none.
+    Evenly spaced quantiles of each are joined with the rank correlation of Gaussian draws.
 
     Args:
       model: with the effect.
@@ -112,10 +117,24 @@ def draw(model: Model, values: np.ndarray, spread: np.ndarray, seed: int) -> np.
     """
     joint = np.random.default_rng(seed).multivariate_normal(np.zeros(len(values)), spread, PARTICLES, method="eigh")
     share = (joint.argsort(axis=0).argsort(axis=0) + 0.5) / PARTICLES
-    mean = np.clip(model.to_unit(values), LEAST_ROOM, 1.0 - LEAST_ROOM)
-    wide = mean * (1.0 - mean) / np.maximum(np.diag(spread), LEAST_ROOM**2) - 1.0
-    count = np.maximum(wide, 1.0 / np.minimum(mean, 1.0 - mean))  # of fewer a bound is a second peak
+    sd = np.maximum(np.sqrt(np.diag(spread)), LEAST_ROOM)
+    room = np.clip(STAND_OFF * sd, LEAST_ROOM, STAND_OFF * FLAT_SD)
+    mean = np.clip(model.to_unit(values), room, 1.0 - room)
+    count = _count(mean, sd)
     return model.from_unit(betaincinv(mean * count, (1.0 - mean) * count, share))
+
+
+def _count(mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """(P,) sums of the two shapes of Beta distributions with these means, in unit space."""
+    near = np.minimum(mean, 1.0 - mean)  # as if the nearer bound were 0
+    end = np.minimum(near + FAR * sd, 1.0)
+    gaussian = near * (1.0 - near) / sd**2 - 1.0
+    few, many = np.maximum(gaussian, 1.0 / (1.0 - near)), np.maximum(gaussian, 1.0 / near)  # fewer: a peak at a bound
+    for _ in range(HALVINGS):
+        middle = np.sqrt(few * many)
+        reaches = betaincinv(near * middle, (1.0 - near) * middle, 0.95) >= end
+        few, many = np.where(reaches, middle, few), np.where(reaches, many, middle)
+    return many
 
 
 def fit_effect(model: Model, use: str, measurements: Sequence[Measurement], **options: Any) -> Diagnosis:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from tcbi_contract.wording import counted, with_unit
 from tcbi_infer.compare.noise import NoiseFloor
-from tcbi_infer.diagnose.evidence import Evidence
+from tcbi_infer.diagnose.evidence import Evidence, ParameterEstimate
 from tcbi_infer.diagnose.false_alarms import false_alarms
 from tcbi_infer.diagnose.null import Null
 from tcbi_infer.diagnose.settings import Settings
@@ -64,9 +64,21 @@ def bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:
     """A sentence on each parameter that the fits left at an end of its range, or whose interval ends there."""
     told = []
     for e in (base, *named):
-        why = "a wrong range or another missing effect may be behind it" if e is base else "the effect may be larger"
         for p in (p for p in e.parameters if p.at_bound):
+            size = "its value" if p.null is None else "the effect"
+            why = (
+                "a wrong range or another missing effect may be behind it"
+                if e is base
+                else f"{size} may be {_beyond(p)}"
+            )
             end = with_unit(f"{p.value:.3g}", p.unit)
             told.append(f"{p.name} stopped at an end of its range, {end}: its interval is one-sided, and {why}.")
     cut_off = (p.name for e in named for p in e.parameters if p.cut_off)
     return told + [f"The interval of {name} ends where its range does, and might be wider." for name in cut_off]
+
+
+def _beyond(p: ParameterEstimate) -> str:
+    """Which way a value that stopped at an end of its range may go on."""
+    if p.null is not None:
+        return "the effect may be larger"
+    return f"its value may be {'larger' if p.high90 - p.value < p.value - p.low90 else 'smaller'}"

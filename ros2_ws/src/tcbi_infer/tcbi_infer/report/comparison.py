@@ -9,7 +9,7 @@ from tcbi_infer.compare.findings import Finding, Moment
 from tcbi_infer.compare.ladder import Rung, explained
 from tcbi_infer.compare.maps import curves, heat, joint_errors
 from tcbi_infer.compare.replicates import by_torque
-from tcbi_infer.compare.scorer import SignalError, in_words
+from tcbi_infer.compare.scorer import SignalError
 from tcbi_infer.compare.signals import JOINT, reference
 from tcbi_infer.compare.worst import MOMENTS
 from tcbi_infer.report import plots
@@ -70,18 +70,8 @@ def add_comparison(
 
 def _checked(c: Comparison) -> list[str]:
     """What of the recording was checked without a finding, and what could not be checked."""
-    sentences = []
-    none = len(c.unchecked) == len(c.rollouts)
-    if not c.guards:
-        what = "Stamps and rates" if none else "Clocks, rates, wiring and units"
-        sentences.append(f"{what} of the recording were checked: nothing was found.")
-    if c.unchecked:
-        where = "" if none else f" in {in_words([c.rollouts.index(r) for r in c.unchecked], c.rollouts)}"
-        sentences.append(
-            f"Clocks, wiring and units{where} could not be checked: the commands are torques, the joints hardly move, "
-            "or there are too few samples."
-        )
-    return sentences
+    what = "Stamps and rates" if len(c.unchecked) == len(c.rollouts) else "Clocks, rates, wiring and units"
+    return [*([] if c.guards else [f"{what} of the recording were checked: nothing was found."]), *c.not_checked]
 
 
 def _add_places(report: Report, c: Comparison, after: Comparison | None) -> None:

@@ -109,7 +109,7 @@ def strays(departed: Departures, rollouts: Sequence[str]) -> list[str]:
     lines: dict[str, str] = {}
     for name, departure in departed.signals.items() if len(rollouts) >= LEAST_OTHERS else ():
         over = np.array(departure.rollouts) / max(np.median(departure.rollouts), np.finfo(float).tiny)
-        unlike = np.flatnonzero((over > STRAY) & (np.array(departure.rollouts) > DEPARTED[name]))
+        unlike = np.flatnonzero((over > STRAY) & (np.array(departure.rollouts) > DEPARTED[name])).tolist()
         for r in unlike if len(unlike) <= max(1, STRAYS * len(rollouts)) else ():
             lines.setdefault(
                 rollouts[r],

@@ -4,6 +4,7 @@ import dataclasses
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -98,8 +99,12 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
 def _finite(m: Measurement) -> Measurement:
     """The same, with NaN, which stands for no reading, where a reading is infinite."""
     signals = {name: getattr(m, name) for name in SIGNALS}
-    endless = {name: v for name, v in signals.items() if v is not None and v.dtype.kind == "f" and np.isinf(v).any()}
-    return dataclasses.replace(m, **{name: np.where(np.isinf(v), np.nan, v) for name, v in endless.items()})
+    endless: dict[str, Any] = {
+        name: np.where(np.isinf(values), np.nan, values)
+        for name, values in signals.items()
+        if values is not None and values.dtype.kind == "f" and np.isinf(values).any()
+    }
+    return dataclasses.replace(m, **endless)
 
 
 def _signals(m: Measurement) -> tuple[bytes | None, ...]:
