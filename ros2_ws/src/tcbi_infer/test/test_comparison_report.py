@@ -14,7 +14,7 @@ from tcbi_infer.compare.guards import unchecked
 from tcbi_infer.compare.ladder import ladder
 from tcbi_infer.compare.maps import heat
 from tcbi_infer.report import Report, add_comparison
-from tcbi_infer.report.drawing import robot
+from tcbi_infer.report.drawing import Scale, robot
 from tcbi_infer.report.maps import heat_map
 from tcbi_infer.report.plots import ladder as ladder_plot
 from tcbi_sim.model import base_model
@@ -131,7 +131,7 @@ def test_a_rig_without_legs_is_drawn_too(name):
 
 def test_the_heat_map_shows_the_figure_of_every_cell(comparison):
     found = heat(comparison)
-    svg = heat_map(found)
+    svg = heat_map(found, Scale.of(found.values.ravel()))
     worst = float(np.nanmax(found.values))
     assert f">{worst:.0f}<" in svg or f">{worst:.1f}<" in svg
     assert found.joints[int(np.nanargmax(np.nanmax(found.values, axis=0)))] == "lm_femur"

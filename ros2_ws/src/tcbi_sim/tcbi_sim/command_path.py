@@ -40,11 +40,14 @@ class CommandPath:
         """Send `target` (B, J) at `time`; a row of NaN is no command for that simulation."""
         f = self.fields
         lost = np.isnan(target).any(axis=1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            target = np.where(f.quantum > 0, np.round(target / f.quantum) * f.quantum, target)
-        target = np.where(np.abs(target - self._accepted) > f.deadband, target, self._accepted)
-        for i in np.flatnonzero((f.loss > 0) & ~lost):
-            lost[i] = self._rngs[i].random() < f.loss[i]
+        if f.quantum.any():
+            with np.errstate(invalid="ignore", divide="ignore"):
+                target = np.where(f.quantum > 0, np.round(target / f.quantum) * f.quantum, target)
+        if f.deadband.any():
+            target = np.where(np.abs(target - self._accepted) > f.deadband, target, self._accepted)
+        if f.loss.any():
+            for i in np.flatnonzero((f.loss > 0) & ~lost):
+                lost[i] = self._rngs[i].random() < f.loss[i]
         self._accepted = np.where(lost[:, None], self._accepted, target)
         activation = np.where(lost[:, None], np.inf, time + f.latency)
         self._pending.append((activation, self._accepted.copy(), ramp))

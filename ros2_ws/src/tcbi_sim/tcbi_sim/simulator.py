@@ -341,16 +341,19 @@ class Simulator:
         """Step through (B, steps, actuators), whole samples, and return the true signals of the new samples."""
         steps = control.shape[1]
         samples = steps // self.per_sample
+        stage = mujoco.mjtStage.mjSTAGE_ACC if forces else mujoco.mjtStage.mjSTAGE_VEL
+        if samples == 1:
+            self._run(lambda: self._batch.rollout(steps, control))
+            self._taken += 1
+            return self._sample_now(stage)
         recorded = np.empty((self.count, steps, self._sensordata.shape[-1]))  # whole where another simulation raises
         out = {"sensordata": recorded}
         failed = self._run(lambda: self._batch.rollout(steps, control, record=("sensordata",), out=out))
         recorded[failed] = self._sensordata[failed, None]
         times = (self._taken + np.arange(1, samples + 1)) / self.rate
         self._taken += samples
-        last = self._sample_now(mujoco.mjtStage.mjSTAGE_ACC if forces else mujoco.mjtStage.mjSTAGE_VEL)
+        last = self._sample_now(stage)
         # a step's sensors describe the state before it, so sample k is what step k * per_sample saw
-        if samples == 1:
-            return last
         return Samples.concatenate([self._samples(recorded[:, self.per_sample :: self.per_sample], times[:-1]), last])
 
     def _sample_now(self, stage: mujoco.mjtStage = mujoco.mjtStage.mjSTAGE_ACC) -> Samples:

@@ -7,8 +7,8 @@ from tcbi_bringup.commands import console
 SUMMARY = "Show the error of each model version on rollouts that no fit has seen, the noise floor being 1."
 
 KEPT = (
-    "Each figure is what the diagnosis of that version kept. Those of different diagnoses were measured on different "
-    "rollouts; to compare versions, give bags that no fit has seen."
+    "Each figure is what the diagnosis of that version kept: of motions that it sealed, or held out in turn. Those of "
+    "different diagnoses were measured on different rollouts; to compare versions, give bags that no fit has seen."
 )
 
 
@@ -60,16 +60,18 @@ def run(args: argparse.Namespace) -> int:
     if measured:
         not_counted = [m.rollout_id for m in measurements if m.rollout_id not in lines[0].rollouts]
         remember(lines, store.folder("runs"), rig, not_counted)
-    told = "" if measured else f" {KEPT}"
-    report = Report("Model versions", f"The error of each version on rollouts that no fit has seen.{told}")
-    add_history(report, rows, lines[0].floor_from_replicates)
+    told = "The error of each version on rollouts that no fit has seen." if measured else KEPT
+    report = Report("Model versions", told)
+    origins = {v.floor_from_replicates for v in lines}
+    estimated = False in origins
+    add_history(report, rows, False if estimated else True in origins or None)
     name = file_name("history", versions[-1].version, lines[0].rollouts)
     path = report.write(args.report or store.folder("reports") / name)
     if args.json:
         console.emit({"models": lines, "report": str(path)})
         return 0
     console.table("", ["model", "parent", "effects", "error / noise floor"], rows)
-    floor = "estimated, since no motion was repeated" if lines[0].floor_from_replicates is False else "the noise floor"
+    floor = "the noise floor" + ", estimated where no motion was repeated" * estimated
     print(f"1 is {floor}; – where no rollout unseen by the fits was compared.")
     known = [(error, name) for name, _, _, error in rows if error == error]
     if len(known) > 1 and min(known)[1] != versions[-1].version:

@@ -47,7 +47,11 @@ def history(models: Sequence[Model], measurements: Sequence[Measurement] = ()) -
     seen = {r for m in models for r in used_before(m)}
     unseen = [m for m in measurements if not was_seen(m, seen)]
     if not unseen:
-        return [VersionError(m.version, m.parent, m.effects, _kept(m, models)) for m in models]
+        kept = [_kept(m, models) for m in models]
+        return [
+            VersionError(m.version, m.parent, m.effects, error, floor_from_replicates=repeated)
+            for m, (error, repeated) in zip(models, kept, strict=True)
+        ]
     replay = Replay.of(models[0], unseen)
     names = tuple(m.rollout_id for m in replay.measurements)
     floor = common_floor(models, replay)
@@ -95,13 +99,14 @@ def common_floor(models: Sequence[Model], replay: Replay) -> NoiseFloor:
     return replay.noise_floor(residual)
 
 
-def _kept(model: Model, models: Sequence[Model]) -> float | None:
+def _kept(model: Model, models: Sequence[Model]) -> tuple[float | None, bool | None]:
+    """A version's kept error, and whether its floor is from replicates; None where that is not known."""
     if (own := unseen_error(model)) is not None:
-        return own
+        return own, model.evidence.get("floor_from_replicates")
     for child in models:
         evidence = child.evidence
         if child.parent == model.version and "unfitted" in evidence.get("errors", {}):
             judged_on = set(evidence.get("sealed") or evidence.get("rollouts", ()))
             if not judged_on & seen_by(model, models):
-                return evidence["errors"]["unfitted"]
-    return None
+                return evidence["errors"]["unfitted"], evidence.get("floor_from_replicates")
+    return None, None

@@ -146,8 +146,8 @@ class _Joints:
             return None
         told_how, kind = self._told(label, phase, cell)
         statement = (
-            f"{told_how}: {here:.2g} deg, {over:.1f} times the noise floor; "
-            f"elsewhere {there:.2g} deg, {elsewhere:.1f} times."
+            f"{told_how}: {_degrees(here)}, {over:.1f} times the noise floor; "
+            f"elsewhere {_degrees(there)}, {elsewhere:.1f} times."
         )
         names = tuple(self.names[j] for j in self.cells[label])
         return Finding(statement, score, names, phase, here, there, over, kind, self._moment(cell, left))
@@ -162,7 +162,7 @@ class _Joints:
         here = float(np.sqrt(np.mean(self.error[self.valid] ** 2)))
         told_how, kind = self._told("", "", self.valid)
         statement = (
-            f"{told_how}: {here:.2g} deg, {over:.1f} times the noise floor, much alike in all parts of the motion."
+            f"{told_how}: {_degrees(here)}, {over:.1f} times the noise floor, much alike in all parts of the motion."
         )
         moment = self._moment(self.valid, self.excess)
         return [Finding(statement, 1.0, tuple(self.names), "", here, float("nan"), over, kind, moment)]
@@ -216,3 +216,8 @@ def worst_moments(
         if sum(m[0] == r and m[2] == channels[c] for m in moments) == ALIKE:
             windows[r, :, c] = -1
     return moments
+
+
+def _degrees(value: float) -> str:
+    """Two digits, and none that are written as powers of ten."""
+    return f"{value:.0f} deg" if value >= 99.5 else f"{value:.2g} deg"

@@ -31,7 +31,7 @@ class Curve:
     """Error over noise floor against one condition, all joints together.
 
     Attributes:
-      middle: (n,) of each bin, in `unit`; bins hold equally many samples.
+      middle: (n,) of each bin, in `unit`; bins hold equally many samples, or one value each where there are few.
       error: (n,).
     """
 
@@ -92,7 +92,7 @@ def steady(comparison: Comparison) -> list[str]:
 def _curve(condition: str, unit: str, values: np.ndarray, scaled: np.ndarray) -> Curve | None:
     valid = np.isfinite(scaled) & np.isfinite(values)
     x, y = values[valid], scaled[valid]
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1))) if len(x) else np.empty(0)
+    edges = _edges(x)
     if len(edges) < 3:
         return None
     which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
@@ -102,6 +102,14 @@ def _curve(condition: str, unit: str, values: np.ndarray, scaled: np.ndarray) ->
         middle = np.bincount(which, x, len(edges) - 1) / count
         error = np.sqrt(np.bincount(which, y**2, len(edges) - 1) / count)
     return Curve(condition, unit, middle[enough], error[enough]) if enough.sum() > 1 else None
+
+
+def _edges(x: np.ndarray) -> np.ndarray:
+    """Of the bins of samples (n,): one for each value where there are few, else equally many samples in each."""
+    levels = np.unique(x)
+    if len(levels) <= BINS:
+        return np.append(levels, np.inf) if len(levels) else levels
+    return np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
 
 
 def _scaled(comparison: Comparison) -> np.ndarray:

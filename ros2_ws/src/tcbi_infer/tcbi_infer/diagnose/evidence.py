@@ -48,6 +48,7 @@ class ParameterEstimate:
     Attributes:
       at_bound: the fit stopped at an end of the range that is not the null value: the interval is one-sided.
       cut_off: the fit did not, but the interval ends at such an end, and might be wider.
+      low, high: the ends of the parameter's range.
     """
 
     name: str
@@ -58,6 +59,8 @@ class ParameterEstimate:
     null: float | None
     at_bound: bool = False
     cut_off: bool = False
+    low: float = float("-inf")
+    high: float = float("inf")
 
     @property
     def excludes_null(self) -> bool:

@@ -185,7 +185,10 @@ def estimate(parameter: Parameter, unit: float, low: float, high: float) -> Para
     value, low90, high90 = (float(parameter.from_unit(x)) for x in (unit, low, high))
     stopped = at_bound(parameter, unit)
     cut_off = not stopped and any(at_bound(parameter, end) for end in (low, high))
-    return ParameterEstimate(parameter.name, parameter.unit, value, low90, high90, parameter.null, stopped, cut_off)
+    return ParameterEstimate(
+        parameter.name, parameter.unit, value, low90, high90, parameter.null, stopped, cut_off, parameter.low,
+        parameter.high,
+    )  # fmt: skip
 
 
 def at_bound(parameter: Parameter, unit: float) -> bool:

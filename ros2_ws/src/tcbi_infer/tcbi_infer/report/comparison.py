@@ -14,7 +14,7 @@ from tcbi_infer.compare.signals import JOINT, reference
 from tcbi_infer.compare.worst import MOMENTS
 from tcbi_infer.report import plots
 from tcbi_infer.report.body import body_figures
-from tcbi_infer.report.drawing import robot
+from tcbi_infer.report.drawing import Scale, robot
 from tcbi_infer.report.maps import curves as condition_plots
 from tcbi_infer.report.maps import heat_map
 from tcbi_infer.report.page import Figure, Report, Section, Table
@@ -79,17 +79,18 @@ def _add_places(report: Report, c: Comparison, after: Comparison | None) -> None
     attitude = [s.ratio for s in c.signals if s.name in ("roll", "pitch")]
     body = float(np.sqrt(np.mean(np.square(attitude)))) if attitude else float("nan")
     whole = " and the trunk by that of its attitude" * bool(attitude)
+    found, errors = heat(c), joint_errors(c)
+    scale = Scale.of([*errors.values(), body, *found.values.ravel()])
     figures = [
         Figure(
-            robot(load_rig(c.replay.rig), joint_errors(c), body),
+            robot(load_rig(c.replay.rig), errors, body, scale),
             f"Each part coloured by the error of the joint that moves it{whole}: the darker, the worse.",
             wide=True,
         ),
     ]
-    found = heat(c)
     if found.phases:
         caption = "Error over noise floor of each joint in each phase of its motion."
-        figures.append(Figure(heat_map(found), caption, wide=True))
+        figures.append(Figure(heat_map(found, scale), caption, wide=True))
     for number, finding in enumerate(c.where, 1):
         if finding.moment is not None:
             figures.append(_shown(c, after, finding, finding.moment, number))
@@ -101,7 +102,8 @@ def _add_places(report: Report, c: Comparison, after: Comparison | None) -> None
     if drawn:
         figure = Figure(
             condition_plots(drawn),
-            "All joints together; bins hold equally many samples. Dashed: noise floor.",
+            "All joints together; bins hold equally many samples, or one value each where values are few. Dashed: "
+            "noise floor.",
             wide=True,
         )
         report.add(Section("What the error grows with", figures=[figure]))

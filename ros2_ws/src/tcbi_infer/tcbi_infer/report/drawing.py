@@ -24,7 +24,7 @@ WIDTH, HEIGHT = 7.6, 2.9  # inch
 ROUND = 16  # points on a circle
 NEAR_FLOOR = 3.0  # least error from which colours need not begin at the noise floor
 UNMEASURED = "#d5d8dc"
-TICKS = (1, 2, 3, 5, 10, 20, 50, 100, 200)
+TICKS = (1, 2, 3, 5, *(digit * 10**power for power in range(1, 6) for digit in (1, 2, 5)))
 X, Y, Z = np.eye(3)
 FLOATING = {
     "from above, front up": (-Y, X, Z),
@@ -58,20 +58,21 @@ class Scale:
         return COLORS(self.share(value)) if np.isfinite(value) else UNMEASURED
 
 
-def robot(rig: Rig, errors: Mapping[str, float], body: float = float("nan")) -> str:
+def robot(rig: Rig, errors: Mapping[str, float], body: float = float("nan"), scale: Scale | None = None) -> str:
     """A drawing of a rig at zero angles.
 
     Args:
       rig: what to draw.
       errors: joint -> error over noise floor; joints that are missing are grey.
       body: error over noise floor of what stands still against the joints, such as the attitude of the trunk.
+      scale: of the colours; by default that of these errors alone.
     """
     model = compile_structure(rig, ())
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     values = _by_body(model, rig, errors, body)
     shapes = [(values[b], points) for b, points in _parts(model, data)]
-    scale = Scale.of(v for v, _ in shapes)
+    scale = scale or Scale.of(v for v, _ in shapes)
     views = FLOATING if rig.floating else FIXED
     with matplotlib.rc_context(STYLE):
         figure = Canvas(figsize=(WIDTH, HEIGHT), layout="constrained")

@@ -15,10 +15,9 @@ DARK = 0.55  # of the colour scale, from which text on it is white
 COLUMNS = 3
 
 
-def heat_map(heat: Heat) -> str:
+def heat_map(heat: Heat, scale: Scale) -> str:
     """One row for each joint, one column for each phase, the figure in each cell."""
     values = heat.values.T
-    scale = Scale.of(values.ravel())
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(0.9 + 0.23 * len(heat.joints), 0.95 * len(heat.phases) + 1.2)
         for j, p in np.ndindex(values.shape):
@@ -57,7 +56,7 @@ def curves(found: Sequence[Curve]) -> str:
             axes.axhline(1.0, color=ORANGE, ls="--", lw=1.0)
             axes.set_xlabel(f"{curve.condition}{f' / {curve.unit}' * bool(curve.unit)}", fontsize=8)
             axes.tick_params(labelsize=8)
-            axes.set_ylim(bottom=0)
+        panels[0].set_ylim(bottom=0)  # of all of them: none is scaled any more
         for axes in panels[len(found) :]:
             axes.set_visible(False)
         for axes in panels[::COLUMNS]:

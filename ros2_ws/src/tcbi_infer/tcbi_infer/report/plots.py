@@ -100,8 +100,9 @@ def overlay(
     after: np.ndarray | None = None,
     inside: np.ndarray | None = None,
     command: np.ndarray | None = None,
+    band: str = "90 % band",
 ) -> str:
-    """Measured against predicted motion with the predictive 90 % band.
+    """Measured against predicted motion with a band, the predictive 90 % one by default.
 
     Args:
       time: (T,) s.
@@ -110,12 +111,13 @@ def overlay(
       after: (T,) another model's prediction.
       inside: (T,) bool, shaded: where a phase of the motion holds.
       command: (T,) what was asked for.
+      band: what it is.
     """
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(2.5)
         for begin, end in _stretches(inside) if inside is not None and not inside.all() else ():
             axes.axvspan(time[begin], time[min(end, len(time) - 1)], color=GREY, alpha=0.22, lw=0)
-        axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label="90 % band")
+        axes.fill_between(time, low, high, color=BLUE, alpha=0.2, lw=0, label=band)
         if command is not None:
             _line(axes, time, command, color=INK, lw=0.8, ls=":", label="command")
         _line(axes, time, predicted, color=BLUE, label="predicted")
@@ -198,9 +200,10 @@ def interval(
     name: str, unit: str, value: float, low: float, high: float, null: float | None, bounds: tuple[float, float]
 ) -> str:
     """A fitted value with its 90 % interval on the parameter's range; a cross where the effect would vanish."""
+    left, right = (end if np.isfinite(end) else seen for end, seen in zip(bounds, (low, high), strict=True))
     with matplotlib.rc_context(STYLE):
         figure, axes = canvas(1.15)
-        axes.hlines(0, *bounds, color=GREY, lw=4, alpha=0.35)
+        axes.hlines(0, left, right, color=GREY, lw=4, alpha=0.35)
         axes.hlines(0, low, high, color=BLUE, lw=5)
         axes.plot([value], [0], "o", color=BLUE, ms=8)
         if null is not None:

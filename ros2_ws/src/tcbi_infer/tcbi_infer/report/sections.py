@@ -139,7 +139,8 @@ def _ranking(d: Diagnosis, most: int = 12) -> Section:
     ]
     text = [
         f"{'Not every' if d.untried else 'Every'} effect of the library was tried. A bar is how much better motions "
-        "are predicted that the fit had not seen; the whisker is its standard error between kinds of motion."
+        "are predicted that the fit had not seen; the whisker is its standard error between kinds of motion. What an "
+        "effect looks like has a signal of the same shape; the verdict tells them apart where their gains differ."
     ]
     if np.isfinite(d.threshold):
         text.append(
@@ -167,6 +168,7 @@ def _moments(d: Diagnosis) -> Section:
             m.before + half,
             f"{m.signal} / {m.unit}",
             m.after.get(d.ranking[0].use),
+            band="noise floor",
         )
         figures.append(Figure(svg, f"{m.signal} in rollout {m.rollout}."))
     return Section(
@@ -183,22 +185,23 @@ def _moments(d: Diagnosis) -> Section:
 
 def _sizes(named: Sequence[Evidence]) -> Section:
     sizes = [p for evidence in named for p in evidence.parameters]
-    figures = [_size(p.name, p.unit, p.value, p.low90, p.high90, p.null) for p in sizes]
+    figures = [_size(p.name, p.unit, p.value, (p.low90, p.high90), p.null, (p.low, p.high)) for p in sizes]
     return Section(
         "How large is it?",
         text=[
-            "The dot is the fitted value, the thick line its 90 % interval; the cross is where the effect would vanish."
+            "The dot is the fitted value, the thick line its 90 % interval, the grey one the range that was searched; "
+            "the cross is where the effect would vanish."
         ],
         figures=figures,
     )
 
 
-def _size(name: str, unit: str, value: float, low: float, high: float, null: float | None) -> Figure:
-    ends = [low, high, value, *([null] if null is not None else [])]
-    pad = 0.15 * (max(ends) - min(ends) or abs(value) or 1.0)
-    svg = plots.interval(name, unit, value, low, high, null, (min(ends) - pad, max(ends) + pad))
-    size = with_unit(f"{value:.3g}", unit)
-    return Figure(svg, f"{size}, 90 % between {low:.3g} and {high:.3g}.")
+def _size(
+    name: str, unit: str, value: float, interval: tuple[float, float], null: float | None, bounds: tuple[float, float]
+) -> Figure:
+    svg = plots.interval(name, unit, value, *interval, null, bounds)
+    low, high = interval
+    return Figure(svg, f"{with_unit(f'{value:.3g}', unit)}, 90 % between {low:.3g} and {high:.3g}.")
 
 
 def add_version(report: Report, parent: Model, child: Model) -> None:
@@ -227,7 +230,10 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
     head = ["parameter", "unit", f"{parent.version}: mean (5 % to 95 %)", child.version]
     now = intervals(child)
     own = [p for p in child.parameters if p.name not in parent.names]
-    figures = [_size(p.name, p.unit, now[p.name].mean, now[p.name].low90, now[p.name].high90, p.null) for p in own]
+    figures = [
+        _size(p.name, p.unit, i.mean, (i.low90, i.high90), p.null, (p.low, p.high))
+        for p, i in ((p, now[p.name]) for p in own)
+    ]
     text = [f"Joints' own gains, over what these parameters say: {child.joint_gains_told}."]
     report.add(Section("Its parameters", text=text, figures=figures, table=Table(head, rows)))
 
@@ -274,9 +280,6 @@ def _quantiles(model: Model) -> list[str]:
 def add_history(report: Report, rows: Sequence[tuple[str, str, str, float]], repeated: bool | None = None) -> None:
     """Model versions: (version, parent, effects, error over floor); `repeated` as in `add_ladder`."""
     svg = plots.history([r[0] for r in rows], [r[1] for r in rows], [r[3] for r in rows], repeated)
-    caption = (
-        "Error of each version on rollouts that no fit has seen; the noise floor is 1. A line joins a version "
-        "with the one it was made from."
-    )
+    caption = "Error of each version; 1 is the noise floor. A line joins a version with the one it was made from."
     table = Table(["model", "parent", "effects", "error / noise floor"], rows)
     report.add(Section("Model versions", figures=[Figure(svg, caption, wide=True)], table=table))
