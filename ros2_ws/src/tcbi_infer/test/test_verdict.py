@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tcbi_infer.diagnose import paired
-from tcbi_infer.diagnose.claims import left_out
+from tcbi_infer.diagnose.claims import bounds, left_out
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
     EFFECT,
@@ -293,3 +293,15 @@ def test_an_interval_that_ends_with_the_range_is_said_to_be_cut_off_but_not_wher
     assert not estimate(torque, 0.2, 0.0, 0.4).cut_off
     stopped = estimate(torque, 1.0, 0.9, 1.0)
     assert stopped.at_bound and not stopped.cut_off
+
+
+@pytest.mark.parametrize(
+    ("null", "unit", "words"),
+    [(0.0, 1.0, "the effect may be larger"), (None, 0.0, "its value may be smaller"), (None, 1.0, "may be larger")],
+)
+def test_of_a_value_that_stopped_at_an_end_it_is_said_which_way_it_may_go_on(null, unit, words):
+    depth = Parameter("depth", "rad", 0.0, 0.15, 0.05, null=null)
+    interval = (max(unit - 0.1, 0.0), min(unit + 0.1, 1.0))
+    base, named = evidence(""), evidence("backlash", parameters=(estimate(depth, unit, *interval),))
+    (line,) = bounds(base, [named])
+    assert line.endswith(f"{words}.") and "its interval is one-sided" in line

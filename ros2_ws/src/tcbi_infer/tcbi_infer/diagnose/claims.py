@@ -65,12 +65,7 @@ def bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:
     told = []
     for e in (base, *named):
         for p in (p for p in e.parameters if p.at_bound):
-            size = "its value" if p.null is None else "the effect"
-            why = (
-                "a wrong range or another missing effect may be behind it"
-                if e is base
-                else f"{size} may be {_beyond(p)}"
-            )
+            why = "a wrong range or another missing effect may be behind it" if e is base else _beyond(p)
             end = with_unit(f"{p.value:.3g}", p.unit)
             told.append(f"{p.name} stopped at an end of its range, {end}: its interval is one-sided, and {why}.")
     cut_off = (p.name for e in named for p in e.parameters if p.cut_off)

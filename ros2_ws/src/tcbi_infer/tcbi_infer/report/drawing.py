@@ -85,8 +85,9 @@ def robot(rig: Rig, errors: Mapping[str, float], body: float = float("nan"), sca
         bar = figure.colorbar(
             ScalarMappable(LogNorm(scale.low, scale.high), COLORS), ax=list(panels), shrink=0.85, pad=0.01
         )
-        marks = [t for t in TICKS if scale.low <= t <= scale.high]
-        bar.set_ticks(marks, labels=[str(t) for t in marks], minor=False)
+        marks: list[float] = [t for t in TICKS if scale.low <= t <= scale.high]
+        marks = marks if len(marks) > 1 else [scale.low, scale.high]
+        bar.set_ticks(marks, labels=[f"{t:.3g}" for t in marks], minor=False)
         bar.ax.minorticks_off()
         bar.set_label("error / noise floor")
         return to_svg(figure)
