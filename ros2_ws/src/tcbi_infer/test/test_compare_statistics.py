@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tcbi_infer.compare.clocks import Following
 from tcbi_infer.compare.guards import check_recording, guard
 from tcbi_infer.compare.noise import autocorrelation_time, from_fast_changes, noise_floor
 from tcbi_infer.compare.replicates import SURE_KINDS, Replicates, find_replicates, split
@@ -186,6 +187,18 @@ def test_a_joint_that_stands_at_the_opposite_of_its_command_may_be_mirrored(stan
     expected = [f"{name} stands at the opposite of its command: its sign may be mirrored"] * told
     assert [f for f in check_recording(still) if "mirrored" in f] == expected
     assert unjudged([still]) == (name,) and unjudged([still, sound]) == () == unjudged([sound])
+
+
+def test_a_joint_is_mirrored_where_it_is_at_the_opposite_of_its_command_though_no_lag_is_told(monkeypatch):
+    """As the elbow of an arm that follows slow ramps, in which a lag shows too little."""
+    sound = recording()
+    target, position = 0.5 + 0.1 * sound.commands.target, 0.5 + 0.1 * sound.joint_position
+    position *= np.where(np.arange(18) == 4, -1, 1)
+    slow = dataclasses.replace(sound, joint_position=position, commands=Commands(sound.commands.time, target))
+    monkeypatch.setattr(Following, "lag", float("nan"))
+    assert [f for f in check_recording(slow) if "mirrored" in f] == [
+        f"{sound.joint_names[4]} moves against its command: its sign may be mirrored"
+    ]
 
 
 def test_a_broken_reading_is_named_and_taken_for_no_other_unit():

@@ -16,7 +16,6 @@ from tcbi_contract.wording import counted
 from tcbi_infer.compare.clocks import LONGEST, Following, aligned, clock_rate
 from tcbi_infer.compare.imu_guards import check_imu
 from tcbi_infer.compare.replicates import by_torque, find_replicates, nearly_repeats
-from tcbi_infer.compare.signals import reference
 from tcbi_infer.compare.wiring import echo, units, wiring
 from tcbi_infer.gaps import sample_gaps, unusable
 from tcbi_sim.measurement import Measurement
@@ -256,8 +255,9 @@ def _frozen(m: Measurement) -> list[str]:
     """Joints that stay where they are while their command moves: a frozen reading, or a servo that does nothing."""
     if by_torque(m) or not m.commands.time.size:
         return []
-    begun = np.maximum(m.time, m.commands.time[0] + m.commands.ramp)  # the way to the first command does not count
-    asked, width = reference(m, begun), int(np.searchsorted(m.time, m.time[0] + FROZEN_S))
+    # targets, for the way to the first one does not count
+    latest = np.clip(np.searchsorted(m.commands.time, m.time, side="right") - 1, 0, None)
+    asked, width = m.commands.target[latest], int(np.searchsorted(m.time, m.time[0] + FROZEN_S))
     if width < 2 or width >= len(m.time):
         return []
     stays = np.ptp(sliding_window_view(m.joint_position, width, axis=0), axis=-1) < STILL

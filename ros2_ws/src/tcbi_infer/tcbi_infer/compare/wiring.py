@@ -95,7 +95,8 @@ def wiring(m: Measurement, following: Following) -> list[str]:
     asked, seen = following.pairs(_found(following))
     follows = _follows(seen)
     names = [m.joint_names[j] for j in following.joints[follows]]
-    findings = [f"{name} stands at the opposite of its command: {SIGN}" for name in _opposite(m) if name not in names]
+    opposite = _opposite(m)
+    findings = [f"{name} stands at the opposite of its command: {SIGN}" for name in opposite if name not in names]
     if not names:
         return findings
     table = np.corrcoef(asked[:, follows].T, seen[:, follows].T).reshape(2 * len(names), -1)[: len(names), len(names) :]
@@ -103,7 +104,7 @@ def wiring(m: Measurement, following: Following) -> list[str]:
     findings += [
         f"{name} moves against its command: {SIGN}"
         for name, r in zip(names, own, strict=True)
-        if r < MIRRORED and np.isfinite(following.lag)
+        if (r < MIRRORED and np.isfinite(following.lag)) or (r < 0 and name in opposite)
     ]
     findings += [
         f"{names[a]} and {names[b]} follow each other's commands: they may be swapped"
