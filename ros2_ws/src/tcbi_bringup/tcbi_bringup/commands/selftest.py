@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
 def _plan(args: argparse.Namespace) -> tuple["Bench", list["Robot"]]:
     """What is tried, and on which robots."""
     from tcbi_infer.bags.reader import read_measurements
-    from tcbi_infer.diagnose.candidates import find_candidates, tried
+    from tcbi_infer.diagnose.candidates import at_random, find_candidates, tried
     from tcbi_infer.diagnose.motions import standard_motions
     from tcbi_infer.diagnose.settings import QUICK, Settings
     from tcbi_infer.selftest import STRENGTHS as SIZES
@@ -120,7 +120,8 @@ def _plan(args: argparse.Namespace) -> tuple["Bench", list["Robot"]]:
     settings = Settings() if args.full else QUICK
     keys = find_candidates(model, args.candidates.split(",")) if args.candidates else tried(model, settings)
     candidates = tuple(keys)
-    planted = find_candidates(model, args.effects.split(",")) if args.effects else list(candidates)
+    told = [use for use in candidates if not at_random(model, use)]  # what is random no diagnosis names
+    planted = find_candidates(model, args.effects.split(",")) if args.effects else told
     _refuse_untried(planted, candidates)
     strengths = list(SIZES) if args.strength == "both" else [args.strength]
     motions = motions_of(rollouts) if rollouts else tuple(standard_motions(rig, args.duration))

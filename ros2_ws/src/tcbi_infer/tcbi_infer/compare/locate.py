@@ -147,7 +147,7 @@ class _Joints:
         told_how, kind = self._told(label, phase, cell)
         statement = (
             f"{told_how}: {_degrees(here)}, {over:.1f} times the noise floor; "
-            f"elsewhere {_degrees(there)}, {elsewhere:.1f} times."
+            f"{'elsewhere' if phase else 'the other joints'} {_degrees(there)}, {elsewhere:.1f} times."
         )
         names = tuple(self.names[j] for j in self.cells[label])
         return Finding(statement, score, names, phase, here, there, over, kind, self._moment(cell, left))

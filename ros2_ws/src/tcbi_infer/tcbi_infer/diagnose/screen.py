@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tcbi_infer.diagnose.candidates import at_random
 from tcbi_infer.diagnose.fit import Fit, Fitter
 from tcbi_infer.diagnose.problem import Problem
-from tcbi_sim.engine import Simulator
-from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import Model
 from tcbi_sim.scatter import SCATTER
 from tcbi_sim.workers import Here, present
@@ -102,10 +101,9 @@ def simulate_directions(
     """Simulates every use at a few sizes, base parameters at the base fit; sets that diverge there show no change."""
     reference = problem.replay.predict(base.model, base.parameters[None], list(sets), timestep)[0]
     names = [use.partition(":")[0] for use in uses]
-    every = {use: _candidate(base, use, names) for use in uses}
-    random = tuple(use for use, candidate in every.items() if _loses_commands(base, candidate))
+    random = tuple(use for use in uses if at_random(base.model, use))
     uses = [use for use in uses if use not in random]
-    candidates = [every[use] for use in uses]
+    candidates = [_candidate(base, use, names) for use in uses]
     predicted = _predictions(problem, base.unit, list(sets), timestep, candidates, progress)
     counted = (problem.weight[list(sets)] > 0) & np.isfinite(reference)
     owner, units, changes, bounds, models, untestable, diverging, kept = [], [], [], [], [], [], [], []
@@ -161,16 +159,6 @@ def _candidate(base: Fit, use: str, names: list[str]) -> Candidate:
             model, np.array([[float(model.parameters[-1].to_unit(1.0 + SCREENED_SCATTER * SCATTER))]]), joint
         )
     return Candidate(model, effect_points(model, len(base.unit), names.count(name) > 1), "")
-
-
-def _loses_commands(base: Fit, candidate: Candidate) -> bool:
-    """Whether commands get lost by it that arrive in the base model."""
-
-    def loss(model: Model, unit: np.ndarray) -> float:
-        start = [Scenario("none", 1.0, settle=0.0)]
-        return float(Simulator(model, model.from_unit(unit[None]), start, threads=1).fields.command.loss[0])
-
-    return loss(candidate.model, np.append(base.unit, candidate.points[-1])) > loss(base.model, base.unit)
 
 
 def _predictions(
