@@ -104,7 +104,7 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
     ended, wide = draws[found.valid], found.products()
     nearest = best = _mixture(wide[JOINTS].sum(axis=0)) @ ended
     told = Departures({}, len(draws), tuple(nearest.tolist()))
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if problem.prior is None else 1):  # further looks could leave a prior that is not flat
         best = best.clip(ended.min(axis=0), ended.max(axis=0))
         close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
         near: _Traces = _simulate_scattered(replayed, close, rng)
