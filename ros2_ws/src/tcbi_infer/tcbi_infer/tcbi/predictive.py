@@ -152,9 +152,14 @@ def _differences(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.nda
 
 def _products(groups: tuple[np.ndarray, ...], valid: np.ndarray) -> np.ndarray:
     """(R, V, V) of (N, S, T, C) differences in each group, for (N,) bool simulations, V of them valid."""
-    flat = [rollout.reshape(len(rollout), -1).astype(float) for g in groups for rollout in np.moveaxis(g[valid], 1, 0)]
-    told = [values[:, np.isfinite(values).all(axis=0)] for values in flat]
-    return np.stack([values @ values.T for values in told]) / max(sum(values.shape[1] for values in told), 1)
+    found, samples = [], 0
+    for group in groups:
+        for rollout in np.moveaxis(group[valid], 1, 0):
+            flat = rollout.reshape(len(rollout), -1).astype(float)
+            flat = flat[:, np.isfinite(flat).all(axis=0)]
+            found.append(flat @ flat.T)
+            samples += flat.shape[1]
+    return np.stack(found) / max(samples, 1)
 
 
 def _mixture(products: np.ndarray, ridge: float | None = None) -> np.ndarray:
