@@ -23,7 +23,7 @@ from tcbi_bringup.commands.bench import figure
 from tcbi_infer.tcbi import calibrated
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.loop import ACTING
-from tcbi_infer.tcbi.problem import Problem, _seen, task_features
+from tcbi_infer.tcbi.problem import Problem, task_features
 from tcbi_policy.artefact import find_policy
 from tcbi_sim import ray_workers
 from tcbi_sim.engine import Chunk, SimulatedRollouts, _simulated, simulate
@@ -180,7 +180,7 @@ def of_steps(small: Problem) -> dict[str, float]:
         each = statistics.median(
             spent(lambda: _simulated(small.model, None, None, STEP_S, 1, None, None, short)) for _ in range(9)
         )
-        many = statistics.median(spent(lambda: _seen(small, task_features, unit)) for _ in range(3))
+        many = statistics.median(spent(lambda: small.seen(task_features, unit)) for _ in range(3))
     steps = len(unit) * ROLLOUTS * (DURATION_S + SETTLE_S) / STEP_S
     return {"step_s": (many - each) / steps, "chunk_s": each}
 
@@ -221,7 +221,7 @@ def what_travels(model: Model) -> dict[str, float]:
         "bytes back for each rollout of 30 s, trajectories": size(part) / 4,
         "bytes to each chunk, inference (1 particle)": size(unit),
         "bytes shared by all chunks of a generation, inference": size((large.model, large.groups, large.observed)),
-        "bytes back for each rollout of 30 s, histograms": size(_seen(large, task_features, unit)) / RECORDED,
+        "bytes back for each rollout of 30 s, histograms": size(large.seen(task_features, unit)) / RECORDED,
     }
 
 

@@ -13,6 +13,10 @@ import numpy as np
 
 from tcbi_sim.measurement import Measurement, Scenario, roll_pitch_yaw
 
+OF_PARTICLES = (
+    "joint_position", "command_target", "attitude", "angular_velocity", "contact", "position", "distance",
+)  # fields of (N, ...)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class RolloutArrays:
@@ -36,6 +40,11 @@ class RolloutArrays:
     def count(self) -> tuple[int, int]:
         """(N, S)."""
         return self.joint_position.shape[:2]
+
+    def only(self, particles: slice) -> "RolloutArrays":
+        """The rollouts of some of N particles."""
+        present: dict[str, Any] = {name: v for name in OF_PARTICLES if (v := getattr(self, name)) is not None}
+        return replace(self, **{name: values[particles] for name, values in present.items()})
 
     @cached_property
     def roll_pitch(self) -> np.ndarray:

@@ -8,8 +8,10 @@ The recorded commands are replayed, stamps included, unless the policies that ga
 
 import dataclasses
 import functools
+import os
 import zlib
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,6 +51,7 @@ from tcbi_sim.workers import chunk_size, present
 # simulation of such draws), and be taken for a wrong one; with 5 at most 3 times
 LEAST_SAMPLES = 5
 CROWDED = 0.9  # share of a channel's samples in one bin, from which it is said
+LOOKED_AT = 25  # particles that a thread looks at at a time: with 5 it takes half as long again
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
 LONGEST_STEP = 0.005  # s: with 10 ms contacts are softer, and stiff servos look up to an eighth softer or stiffer
 
@@ -216,13 +219,30 @@ class Problem:
         steps = sum(len(g.measurements) * len(g.time) for g in self.groups) / (self.rate * self.timestep)
         step = chunk_size(len(unit), steps, max(1, int(CHUNK_VALUES / size)))
         chunks = [unit[begin : begin + step] for begin in range(0, len(unit), step)]
-        return _joined(present().map(functools.partial(_seen, self, seen), chunks, progress))
+        return _joined(present().map(functools.partial(Problem.seen, self, seen), chunks, progress))
 
     def rollouts(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
         """Simulated rollouts of each group, and (N,) whether none of a particle's diverged."""
+        exact, valid = self._simulated(unit)
+        rngs = self._rngs(unit)
+        return [self.read(arrays, rngs) for arrays in exact], valid
+
+    def seen(self, view: "View", unit: np.ndarray) -> Any:
+        """What a view keeps of some particles' rollouts: little beside these, which stay where they were simulated."""
+        exact, valid = self._simulated(unit)
+
+        def looked(part: slice) -> Any:
+            rngs = self._rngs(unit[part])
+            return view(self, [self.read(arrays.only(part), rngs) for arrays in exact], valid[part])
+
+        parts = [slice(begin, begin + LOOKED_AT) for begin in range(0, len(unit), LOOKED_AT)]
+        with ThreadPoolExecutor(present().threads or self.threads or os.cpu_count()) as pool:
+            return _joined(list(pool.map(looked, parts)))
+
+    def _simulated(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
+        """As `rollouts`, without the sensors' noise."""
         groups: list[RolloutArrays] = []
         valid = np.ones(len(unit), bool)
-        rngs = [np.random.default_rng([self.seed, zlib.crc32(np.ascontiguousarray(row).tobytes())]) for row in unit]
         for group, controller in zip(self.groups, self.controllers, strict=True):
             rollouts = simulate(
                 self.model,
@@ -236,17 +256,16 @@ class Problem:
                 threads=self.threads,
             )
             valid &= ~rollouts.diverged.any(axis=1)
-            groups.append(self.read(as_arrays(rollouts, group, controller is not None), rngs))
+            groups.append(as_arrays(rollouts, group, controller is not None))
         return groups, valid
+
+    def _rngs(self, unit: np.ndarray) -> list[np.random.Generator]:
+        """Of each particle's sensors' noise, whoever else is simulated."""
+        return [np.random.default_rng([self.seed, zlib.crc32(np.ascontiguousarray(row).tobytes())]) for row in unit]
 
     def read(self, simulated: RolloutArrays, rngs: Sequence[np.random.Generator]) -> RolloutArrays:
         """Simulated rollouts as the robot's are read: with noise, each particle's of its own, and averaged alike."""
         return averaged(with_noise(simulated, self.readings_noise, rngs), self.noisy, AVERAGE_S)
-
-
-def _seen(problem: Problem, view: "View", unit: np.ndarray) -> Any:
-    """What a method keeps of some particles' rollouts: little beside these, which stay where they were simulated."""
-    return view(problem, *problem.rollouts(unit))
 
 
 def _joined(parts: list[Any]) -> Any:
