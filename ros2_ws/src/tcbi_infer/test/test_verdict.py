@@ -151,8 +151,11 @@ def test_a_large_error_that_no_candidate_explains_lies_outside_the_library():
 
 
 def test_a_large_error_that_an_uncertain_candidate_would_explain_is_left_open():
-    ruling = ruled(evidence("backlash", statistic=2.0, after=2.0, before=20.0), base_error=20.0)
-    assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("backlash",))
+    found = evidence("backlash", statistic=1.0, after=2.0, before=20.0)
+    assert (ruled(found, base_error=20.0).verdict, ruled(found, base_error=20.0).uses) == (CANNOT_TELL, ("backlash",))
+    slipped = Misfit(3.3, dict(zip("abcdef", (2.0, 2.7, 7.0, 1.3, 2.0, 2.0), strict=True)))
+    alone = dataclasses.replace(found, error_before=3.3, reason="too uneven")
+    assert rule([alone], slipped, 6, everywhere(28.0)).verdict == NOTHING_MISSING  # one motion does not decide
 
 
 def test_what_a_candidate_explains_is_told_of_the_motions_on_which_it_was_judged():
@@ -171,8 +174,11 @@ def test_errors_of_open_motions_are_said_to_be_held_out_in_turn():
 
 
 def test_a_small_error_that_an_uncertain_candidate_would_mostly_explain_is_left_open():
-    found = evidence("payload", statistic=2.0, after=1.5, before=2.6)
+    found = evidence("payload", statistic=2.5, after=1.5, before=2.6)
     assert (ruled(found, base_error=2.6).verdict, ruled(found, base_error=2.6).uses) == (CANNOT_TELL, ("payload",))
+    by_chance = dataclasses.replace(found, statistic=1.4)
+    assert ruled(by_chance, base_error=2.6).verdict == NOTHING_MISSING
+    assert ruled(by_chance, base_error=2.6, kinds=4).verdict == CANNOT_TELL  # no rate of false alarms is claimed
     assert ruled(dataclasses.replace(found, error_after=2.2), base_error=2.6).verdict == NOTHING_MISSING
     assert ruled(dataclasses.replace(found, error_after=1.1), base_error=1.4).verdict == NOTHING_MISSING
 

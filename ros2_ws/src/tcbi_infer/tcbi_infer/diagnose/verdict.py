@@ -28,6 +28,7 @@ ATTITUDE_PREDICTED = (
 # left 2.1 in so many kinds of motion
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
 MOSTLY = 1 / 2  # of the excess error: nothing is called complete that one more effect would explain so far
+HINTED = 1 / 2  # of what a single candidate's statistic must be: with less, a share of the error is found by chance
 CONTRADICTED = "it lowers the error of the motions held out in turn, but not that of the sealed ones"
 IN_TURN = "on the motions held out in turn"
 EXPLAINED = 1 / 3  # of the excess error: a candidate that explains less leaves "something else is missing" open
@@ -249,8 +250,8 @@ def _none_accepted(
             (best.use,),
             f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more motions.",
         )
-    much = EXPLAINED if misfit.total > WELL_PREDICTED else MOSTLY
-    if best and misfit.total > NOTICEABLE and _explained(best, unseen) >= much:
+    badly = misfit.total > WELL_PREDICTED and _in_most(misfit.by_kind or {"": misfit.total}, WELL_PREDICTED)
+    if best and _hinted(best, misfit, kinds, unseen, badly):
         return Ruling(
             CANNOT_TELL,
             (best.use,),
@@ -259,7 +260,7 @@ def _none_accepted(
         )
     # where nothing was tried, nothing is known of the library
     beyond = CANNOT_TELL if tried == 0 else OUTSIDE_LIBRARY
-    if misfit.total > WELL_PREDICTED and _in_most(misfit.by_kind or {"": misfit.total}, WELL_PREDICTED):
+    if badly:
         return Ruling(beyond, (), f"{error[0].upper()}{error[1:]}, and {_unexplained(tried)}.{hint}")
     if _in_most(misfit.attitude, ATTITUDE_PREDICTED):
         tilts = f"roll and pitch by {np.median(list(misfit.attitude.values())):.1f} in the median kind of motion"
@@ -279,6 +280,18 @@ def _none_accepted(
         (),
         f"These rollouts show nothing missing: {error}.{hint}{few}",
     )
+
+
+def _hinted(best: Evidence, misfit: Misfit, kinds: int, unseen: float, badly: bool) -> bool:
+    """Whether a candidate that is not accepted explains so much that nothing can be called complete without it.
+
+    By the share of the error alone where the alternative is that the library has nothing, or where no rate is claimed.
+    """
+    if misfit.total <= NOTICEABLE:
+        return False
+    much = EXPLAINED if misfit.total > WELL_PREDICTED else MOSTLY
+    agreed = badly or kinds < MIN_KINDS or best.statistic >= HINTED * paired.limit(kinds)
+    return agreed and _explained(best, unseen) >= much
 
 
 def _unexplained(tried: int | None) -> str:
