@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.compare.steadiness import unfollowed, unsteady
+from tcbi_infer.compare.steadiness import Lost, unfollowed, unsteady
+from tcbi_infer.diagnose.at_random import suspected
 from tcbi_infer.diagnose.evidence import EFFECT, Evidence, Misfit
 from tcbi_infer.diagnose.verdict import CANNOT_TELL, NOTHING_MISSING, Ruling, rule
 from tcbi_sim.engine import simulate
@@ -37,7 +38,7 @@ def recorded(lost: float, noise: float = 0.001) -> list[Measurement]:
     return found
 
 
-def told(lost: float) -> tuple[float, str]:
+def told(lost: float) -> tuple[Lost | None, str]:
     replay = Replay.of(MODEL, recorded(lost))
     floor = replay.noise_floor(np.zeros_like(replay.measured))
     return unfollowed(replay), unsteady(replay, floor)
@@ -45,14 +46,15 @@ def told(lost: float) -> tuple[float, str]:
 
 @pytest.mark.parametrize("lost", [0.1, 0.25])
 def test_lost_commands_show_in_what_repeats_do_not_share(lost: float) -> None:
-    share, said = told(lost)
-    assert 0.5 * lost < share < 1.5 * lost, "a rough figure"
+    found, said = told(lost)
+    assert found and found.low90 < lost < found.high90
+    assert 0.5 * lost < found.share < 2 * lost, "a rough figure"
     assert said.startswith(UNSTEADY[:-1])
-    assert f"some {100 * share:.0f} % of the commands were lost" in said
+    assert f"some {100 * found.share:.0f} % of the commands (90 % interval" in said
 
 
 def test_a_robot_that_repeats_itself_is_told_nothing() -> None:
-    assert told(0.0) == (0.0, "")
+    assert told(0.0) == (None, "")
 
 
 def test_nothing_missing_is_not_told_of_a_robot_that_does_not_repeat_itself() -> None:
@@ -60,6 +62,9 @@ def test_nothing_missing_is_not_told_of_a_robot_that_does_not_repeat_itself() ->
     assert rule([], misfit, 5, misfit).verdict == NOTHING_MISSING
     ruling = rule([], misfit, 5, misfit, unsteady=UNSTEADY)
     assert ruling == Ruling(CANNOT_TELL, (), f"These rollouts cannot tell what is missing. {UNSTEADY}")
+    random = rule([], misfit, 5, misfit, unsteady=UNSTEADY, suspected=["lost_commands"])
+    assert (random.verdict, random.uses) == (CANNOT_TELL, ("lost_commands",))
+    assert random.statement.endswith("lost_commands would do that.")
 
 
 def test_an_effect_is_not_told_of_it_either_but_by_name() -> None:
@@ -71,3 +76,14 @@ def test_an_effect_is_not_told_of_it_either_but_by_name() -> None:
     assert rule([damping], misfit, 6, misfit).verdict == EFFECT
     ruling = rule([damping], misfit, 6, misfit, unsteady=UNSTEADY)
     assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("viscous_damping",)) and UNSTEADY in ruling.statement
+
+
+def test_lost_commands_are_among_the_suspects_with_the_share_that_repeats_tell() -> None:
+    replay = Replay.of(MODEL, recorded(0.25))
+    found = unfollowed(replay)
+    (suspect,) = suspected(MODEL, replay, ["lost_commands"], 1.1)
+    (share,) = suspect.parameters
+    assert found and (share.name, share.null) == ("lost_commands.share", 0.0) and share.excludes_null
+    assert (share.value, share.low90, share.high90) == pytest.approx(found)
+    assert not suspect.refined and not suspect.accepted
+    assert suspected(MODEL, Replay.of(MODEL, recorded(0.0)), ["lost_commands"], 1.1) == []

@@ -168,7 +168,8 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
             "next: ./tcbi diagnose BAG… --add              # tries each of them beside the other: both may be missing"
         )
     if not added and d.uses and not objection(d.to_json(), d.uses[0]):
-        print(f"next: ./tcbi add {d.uses[0]} --model {d.model}")
+        told = any(e.use == d.uses[0] and e.refined for e in d.ranking)
+        print(f"next: ./tcbi add {d.uses[0]} --model {d.model}{'' if told else ' --prior'}")
     print(f"report: {path} ({d.seconds:.0f} s)")
 
 

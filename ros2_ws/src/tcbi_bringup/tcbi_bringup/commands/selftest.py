@@ -100,7 +100,8 @@ def run(args: argparse.Namespace) -> int:
 def _plan(args: argparse.Namespace) -> tuple["Bench", list["Robot"]]:
     """What is tried, and on which robots."""
     from tcbi_infer.bags.reader import read_measurements
-    from tcbi_infer.diagnose.candidates import at_random, find_candidates, tried
+    from tcbi_infer.diagnose.at_random import at_random
+    from tcbi_infer.diagnose.candidates import find_candidates, tried
     from tcbi_infer.diagnose.motions import standard_motions
     from tcbi_infer.diagnose.settings import QUICK, Settings
     from tcbi_infer.selftest import STRENGTHS as SIZES

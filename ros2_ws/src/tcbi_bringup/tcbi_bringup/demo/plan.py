@@ -83,7 +83,7 @@ QUICK = Plan(
     motion_s=2.2,
     deployments=2,
     deployment_s=2.0,
-    effects=BASIC_EFFECTS,
+    effects=(*BASIC_EFFECTS, "lost_commands"),  # no simulation of it: repeats tell it
     settings=replace(QUICK_DIAGNOSIS, rivals=False),  # few candidates, none alike
     bands=8,
     particles=48,

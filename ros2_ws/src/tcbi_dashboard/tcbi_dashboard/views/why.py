@@ -202,7 +202,7 @@ class WhyView(View):
                 table(columns, rows, "use", pagination=10)
 
     def _sizes(self, d: dict[str, Any]) -> None:
-        named = [e for e in d["ranking"] if e["use"] in d["uses"] and e["refined"]]
+        named = [e for e in d["ranking"] if e["use"] in d["uses"]]
         estimates = [p for e in named for p in e["parameters"]]
         if not estimates:
             return

@@ -5,8 +5,10 @@ are told in multiples of that, so that hardly any effect can show, and a model t
 """
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import binomtest
 
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
@@ -22,6 +24,14 @@ MISSED, FOLLOWED = 0.35, 0.65  # of the usual response: at most, and at least; w
 LEAST_STEPS = 10  # pairs of responses from which a share is told
 
 
+class Lost(NamedTuple):
+    """The share of a robot's commands that seem to be lost, with its 90 % interval."""
+
+    share: float
+    low90: float
+    high90: float
+
+
 def unsteady(replay: Replay, floor: NoiseFloor) -> str:
     """A sentence where repeats of the same commands differ by much of how far the joints move; empty where not."""
     joints = replay.layout.where(JOINT)
@@ -34,9 +44,9 @@ def unsteady(replay: Replay, floor: NoiseFloor) -> str:
         return ""
     lost = unfollowed(replay)
     cause = (
-        f"In {200 * lost * (1 - lost):.0f} % of the steps one repeat followed the command and the other did not, as "
-        f"if some {100 * lost:.0f} % of the commands were lost, or came late or in another order."
-        if lost > 0
+        f"Repeats differ in which commands they followed, as if some {100 * lost.share:.0f} % of the commands (90 % "
+        f"interval {100 * lost.low90:.0f} to {100 * lost.high90:.0f} %) were lost, or came late or in another order."
+        if lost
         else "Commands that get lost or come late do that, a supply that breaks down, loose contacts, slipping feet."
     )
     return (
@@ -46,32 +56,34 @@ def unsteady(replay: Replay, floor: NoiseFloor) -> str:
     )
 
 
-def unfollowed(replay: Replay) -> float:
+def unfollowed(replay: Replay) -> Lost | None:
     """The share of commands that a robot did not follow, from how often one of two repeats did and the other did not.
 
-    Of two repeats of a command of which each is missed with probability p, one alone is missed with 2 p (1 - p). Zero
-    where too few commands are large and apart enough, where the repeats follow them alike, and for a rig whose commands
-    are torques.
+    Of the commands that one of two repeats followed at least, the other missed 2 p / (1 + p) if each misses with
+    probability p; that share's interval is Clopper and Pearson's. Commands that both missed do not count: a servo that
+    is too slow for them does that, too. None where too few commands are large and apart enough, where the repeats
+    follow them alike, and for a rig whose commands are torques.
     """
     if load_rig(replay.rig).kind != "position":
-        return 0.0
+        return None
     pairs = []
     for s, replicates in enumerate(replay.replicates):
         for a, b in itertools.combinations(replicates.members, 2):
             pairs.append(np.stack([_responses(replay, m, replay.commands[s]) for m in (a, b)]))
     if not pairs:
-        return 0.0
+        return None
     both = np.concatenate(pairs, axis=1)
     both = both[:, np.isfinite(both).all(axis=0)]
     if both.shape[1] < LEAST_STEPS:
-        return 0.0
+        return None
     usual = float(np.quantile(both, 0.75))
     missed, followed = both < MISSED * usual, both > FOLLOWED * usual
-    clear = (missed | followed).all(axis=0)
-    if clear.sum() < LEAST_STEPS:
-        return 0.0
-    alone = float(missed[:, clear].any(axis=0).mean() - missed[:, clear].all(axis=0).mean())
-    return (1 - np.sqrt(max(1 - 2 * alone, 0.0))) / 2
+    together, alone = int(followed.all(axis=0).sum()), int((missed.any(axis=0) & followed.any(axis=0)).sum())
+    if together + alone < LEAST_STEPS or not alone:
+        return None
+    share = binomtest(alone, together + alone)
+    interval = share.proportion_ci(0.9)
+    return Lost(*(q / (2 - q) for q in (float(share.statistic), float(interval.low), float(interval.high))))
 
 
 def _responses(replay: Replay, member: int, commands: Commands) -> np.ndarray:

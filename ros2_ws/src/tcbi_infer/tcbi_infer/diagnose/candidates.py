@@ -5,9 +5,7 @@ from collections.abc import Sequence
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import candidates
-from tcbi_sim.engine import Simulator
 from tcbi_sim.errors import UnknownNameError
-from tcbi_sim.measurement import Scenario
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
@@ -26,16 +24,6 @@ def tried(model: Model, settings: Settings) -> list[str]:
     """The uses that a diagnosis tries where none are named."""
     single = () if settings.per_joint else load_rig(model.rig).joint_names
     return [u.key for u in library(model) if u.site not in single]
-
-
-def at_random(model: Model, use: str) -> bool:
-    """Whether commands get lost by an effect that reach the model without it: which ones no two robots share."""
-
-    def loss(m: Model) -> float:
-        start = [Scenario("none", 1.0, settle=0.0)]
-        return float(Simulator(m, m.mean()[None], start, threads=1).fields.command.loss[0])
-
-    return loss(model.with_effect(use)) > loss(model)
 
 
 def find_candidates(model: Model, wanted: Sequence[str]) -> list[str]:

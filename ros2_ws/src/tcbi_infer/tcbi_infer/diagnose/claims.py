@@ -5,12 +5,11 @@ from collections.abc import Sequence
 
 from tcbi_contract.wording import counted, with_unit
 from tcbi_infer.compare.noise import NoiseFloor
+from tcbi_infer.diagnose.at_random import AT_RANDOM
 from tcbi_infer.diagnose.evidence import Evidence, ParameterEstimate
 from tcbi_infer.diagnose.false_alarms import false_alarms
 from tcbi_infer.diagnose.null import Null
 from tcbi_infer.diagnose.settings import Settings
-
-AT_RANDOM = "a replay loses other commands than the robot did"
 
 
 def claims(kinds: int, sealed: int, null: Null, floor: NoiseFloor, settings: Settings) -> list[str]:

@@ -21,9 +21,10 @@ from tcbi_infer.compare.replicates import Split, split
 from tcbi_infer.compare.steadiness import unsteady
 from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.agreement import agreement, disagreeing
+from tcbi_infer.diagnose.at_random import AT_RANDOM, suspected
 from tcbi_infer.diagnose.base_fit import base_starts, better_base, fit_base
 from tcbi_infer.diagnose.candidates import tried, untried
-from tcbi_infer.diagnose.claims import AT_RANDOM, bounds, claims, left_out, not_simulated
+from tcbi_infer.diagnose.claims import bounds, claims, left_out, not_simulated
 from tcbi_infer.diagnose.detectable import Background, detectable_sizes
 from tcbi_infer.diagnose.evidence import (
     CANNOT_TELL,
@@ -254,7 +255,9 @@ class _Run:
         left = untried(self.model, self.uses)
         count = len({use.partition(":")[0] for use in self.uses}) if left else None
         apart = unsteady(self.replay, self.floor)
-        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count, apart)
+        random = suspected(self.model, self.replay, directions.random, before.error) if apart else []
+        names = [e.use for e in random]
+        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count, apart, names)
         if self.mend:
             ruling = Ruling(CANNOT_TELL, (), MEND_FIRST.format(" ".join(self.mend)))
         errors = {"unfitted": judge.unfitted, "base": before.error}
@@ -277,7 +280,7 @@ class _Run:
             effects=tuple(dict.fromkeys(u.partition(":")[0] for u in ruling.uses)),
             uses=ruling.uses,
             statement=ruling.statement + beyond,
-            ranking=tuple(ranking),
+            ranking=(*ranking, *random),
             seconds=time.perf_counter() - self.began,
             rollouts=tuple(m.rollout_id for m in self.replay.measurements),
             sealed=tuple(m.rollout_id for m in sealed),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.diagnose.candidates import at_random
+from tcbi_infer.diagnose.at_random import at_random
 from tcbi_infer.diagnose.fit import Fit, Fitter
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import Model

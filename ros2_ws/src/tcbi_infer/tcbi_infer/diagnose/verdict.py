@@ -30,6 +30,7 @@ NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
 MOSTLY = 1 / 2  # of the excess error: nothing is called complete that one more effect would explain so far
 HINTED = 1 / 2  # of what a single candidate's statistic must be: with less, a share of the error is found by chance
 CONTRADICTED = "it lowers the error of the motions held out in turn, but not that of the sealed ones"
+NOT_TOLD = "These rollouts cannot tell what is missing"
 IN_TURN = "on the motions held out in turn"
 EXPLAINED = 1 / 3  # of the excess error: a candidate that explains less leaves "something else is missing" open
 
@@ -140,6 +141,7 @@ def rule(
     unseen: float = np.inf,
     tried: int | None = None,
     unsteady: str = "",
+    suspected: Sequence[str] = (),
 ) -> Ruling:
     """The verdict.
 
@@ -153,14 +155,18 @@ def rule(
       tried: effects of the library that were tried; None for all of them.
       unsteady: that the robot does not repeat itself, in a sentence; then neither one effect nor that none is missing
         is told.
+      suspected: uses of which an unsteady robot's repeats tell a size, and no replay anything.
     """
     ruling = _ruled(ranking, base, kinds, unfitted, base_converged, unseen, tried)
     if not unsteady:
         return ruling
+    told = f"{unsteady} {' or '.join(suspected)} would do that." if suspected else unsteady
     if ruling.verdict == NOTHING_MISSING:
-        return Ruling(CANNOT_TELL, (), f"These rollouts cannot tell what is missing. {unsteady}")
+        what = "Something may be missing that no replay can judge" if suspected else NOT_TOLD
+        return Ruling(CANNOT_TELL, tuple(suspected), f"{what}. {told}")
     verdict = CANNOT_TELL if ruling.verdict == EFFECT else ruling.verdict  # lost commands look like damping in the mean
-    return Ruling(verdict, ruling.uses, f"{ruling.statement} {unsteady}")
+    also = suspected if verdict == CANNOT_TELL else ()
+    return Ruling(verdict, (*ruling.uses, *also), f"{ruling.statement} {told}")
 
 
 def _ruled(

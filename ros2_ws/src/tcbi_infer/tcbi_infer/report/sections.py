@@ -77,7 +77,7 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[
         report.add(_ranking(d))
     if d.moments:
         report.add(_moments(d))
-    named = [e for e in d.ranking if e.use in d.uses and e.refined]
+    named = [e for e in d.ranking if e.use in d.uses and e.parameters]
     if named:
         report.add(_sizes(named))
     told = d.uses[0] if d.uses and d.uses[0] in d.agreement else ""
@@ -108,7 +108,7 @@ def _next_motions(d: Diagnosis) -> Section:
 
 
 def _ranking(d: Diagnosis, most: int = 12) -> Section:
-    shown = d.ranking[:most]
+    shown = [e for e in d.ranking if np.isfinite(e.elpd_gain)][:most]
     labels = [e.use for e in shown]
     chosen = [e.use in d.uses for e in shown]
     svg = plots.bars(labels, [e.elpd_gain for e in shown], [e.elpd_se for e in shown], chosen, "held-out gain / nats")
