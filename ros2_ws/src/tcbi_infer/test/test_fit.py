@@ -9,8 +9,8 @@ from bench_recordings import BASE, record
 from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
+from tcbi_infer.diagnose.at_random import at_random
 from tcbi_infer.diagnose.base_fit import base_starts
-from tcbi_infer.diagnose.candidates import at_random
 from tcbi_infer.diagnose.fit import ROUNDS, Fitter, Nuisance
 from tcbi_infer.diagnose.heldout import held_out
 from tcbi_infer.diagnose.null import noise_draws

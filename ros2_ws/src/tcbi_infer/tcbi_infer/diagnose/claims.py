@@ -56,7 +56,7 @@ def left_out(left: Sequence[str], uses: Sequence[str]) -> list[str]:
 def not_simulated(diverging: Sequence[str], random: Sequence[str]) -> list[str]:
     """Sentences on the candidates whose simulations diverge, and on those that no simulation can repeat."""
     told = [f"Not tested, since simulations with it diverge: {', '.join(diverging)}."] if diverging else []
-    return told + [f"Not tested, since {AT_RANDOM}: {', '.join(random)}."] * bool(random)
+    return told + [f"Not tried by replay, since {AT_RANDOM}: {', '.join(random)}."] * bool(random)
 
 
 def bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:

@@ -71,7 +71,7 @@ def between(
       motions: what could be recorded.
       timestep: s.
     """
-    fitted = [use for use in uses if use in fits] or list(fits)
+    fitted = [use for use in uses if use in fits] if uses else list(fits)
     if not fitted or not motions:
         return ()
     first, *others = fitted[: MOST_RIVALS + 1]
