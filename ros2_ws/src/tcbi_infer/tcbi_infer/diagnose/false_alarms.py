@@ -1,7 +1,7 @@
 """How often the search raises a false alarm on this robot, as its own null simulations say, and how sure that is."""
 
 import numpy as np
-from scipy.special import betaincinv
+from scipy.stats import binomtest
 
 from tcbi_infer.compare.replicates import MIN_KINDS
 from tcbi_infer.diagnose.evidence import FalseAlarms
@@ -29,17 +29,16 @@ def false_alarms(null: Null) -> FalseAlarms:
         kinds = f"{null.kinds} kind{'s' if null.kinds != 1 else ''} of motion"
         return FalseAlarms(f"With {kinds}, fewer than {MIN_KINDS}, no false-alarm rate is claimed.", count)
     passed = _passed(null)
-    low = float(betaincinv(passed, count - passed + 1, 0.05)) if passed else 0.0
-    high = float(betaincinv(passed + 1, count - passed, 0.95)) if passed < count else 1.0
-    rate = passed / count
+    rate, interval = passed / count, binomtest(passed, count).proportion_ci(0.9)
+    low, high = float(interval.low), float(interval.high)
+    few = _FEW.format(kinds=null.kinds, level=_percent(1 - level(null.kinds))) if level(null.kinds) < LEVEL else ""
     return FalseAlarms(
         f"False alarms: in {passed} of {count} simulated data sets of this robot with nothing missing the whole search "
         f"passed the threshold (that of the other half of them, about {null.threshold:.1f} standard errors), "
-        f"{_percent(rate)} (90 % interval "
-        f"{_percent(low)} to {_percent(high)}). What else is required of an effect can only lower how often one is "
-        "named; what these simulations do not hold may raise it. That something may be missing, or is not in the "
-        "library, rests on limits of the error, whose false alarms this does not count."
-        + (_FEW.format(kinds=null.kinds, level=_percent(1 - level(null.kinds))) if level(null.kinds) < LEVEL else ""),
+        f"{_percent(rate)} (90 % interval {_percent(low)} to {_percent(high)}). What else is required of an effect can "
+        "only lower how often one is named; what these simulations do not hold may raise it. That something may be "
+        "missing, or is not in the library, rests on limits of the error, whose false alarms this does not count."
+        f"{few}",
         count,
         rate,
         low,
