@@ -42,7 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     thorough = parser.add_mutually_exclusive_group()
     thorough.add_argument("--refine", type=at_least(0), default=3, help="candidates that get a full fit (default: 3)")
     thorough.add_argument(
-        "--quick", action="store_true", help="a first answer from few motions: coarse steps, no single joints, two fits"
+        "--quick",
+        action="store_true",
+        help="a first answer from few motions: no single joints, two fits, nothing sealed",
     )
     parser.add_argument(
         "--trust-recording",
