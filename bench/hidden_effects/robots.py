@@ -102,7 +102,7 @@ def _told(found: Diagnosis) -> Result:
             {"use": e.use, "statistic": e.statistic, "accepted": e.accepted, "reason": e.reason,
              "error_after": e.error_after, "confused_with": list(e.confused_with),
              "parameters": [dataclasses.asdict(p) for p in e.parameters]}
-            for e in found.ranking if e.refined
+            for e in found.ranking if e.parameters
         ],
         "statement": found.statement,
         "misfit": None if found.misfit is None else dataclasses.asdict(found.misfit),

@@ -9,7 +9,7 @@ from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.steadiness import Lost, unfollowed, unsteady
 from tcbi_infer.diagnose.at_random import suspected
 from tcbi_infer.diagnose.evidence import EFFECT, Evidence, Misfit
-from tcbi_infer.diagnose.verdict import CANNOT_TELL, NOTHING_MISSING, Ruling, rule
+from tcbi_infer.diagnose.verdict import CANNOT_TELL, NOTHING_MISSING, OUTSIDE_LIBRARY, Ruling, rule
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import base_model
@@ -53,6 +53,16 @@ def test_lost_commands_show_in_what_repeats_do_not_share(lost: float) -> None:
     assert f"some {100 * found.share:.0f} % of the commands (90 % interval" in said
 
 
+def test_copies_of_a_recording_and_repeats_that_followed_nothing_do_not_count() -> None:
+    first, again, *others = recorded(0.25)
+    once = unfollowed(Replay.of(MODEL, [first, again, *others]))
+    copied = unfollowed(Replay.of(MODEL, [first, dataclasses.replace(first, rollout_id="copy"), again, *others]))
+    assert once and copied == once
+    limp = dataclasses.replace(again, joint_position=np.full_like(again.joint_position, again.joint_position[0, 0]))
+    found = unfollowed(Replay.of(MODEL, [first, limp, *others]))
+    assert found and found.share < 0.25, "with the limp repeat's commands every other one would seem lost"
+
+
 def test_a_robot_that_repeats_itself_is_told_nothing() -> None:
     assert told(0.0) == (None, "")
 
@@ -65,6 +75,10 @@ def test_nothing_missing_is_not_told_of_a_robot_that_does_not_repeat_itself() ->
     random = rule([], misfit, 5, misfit, unsteady=UNSTEADY, suspected=["lost_commands"])
     assert (random.verdict, random.uses) == (CANNOT_TELL, ("lost_commands",))
     assert random.statement.endswith("lost_commands would do that.")
+    far = Misfit(9.0, {f"motion-{i}": 9.0 for i in range(5)})
+    assert rule([], far, 5, far).verdict == rule([], far, 5, far, unsteady=UNSTEADY).verdict == OUTSIDE_LIBRARY
+    held = rule([], far, 5, far, unsteady=UNSTEADY, suspected=["lost_commands"])
+    assert (held.verdict, held.uses) == (CANNOT_TELL, ("lost_commands",))
 
 
 def test_an_effect_is_not_told_of_it_either_but_by_name() -> None:

@@ -52,8 +52,8 @@ def test_a_wide_posterior_is_looked_through_until_what_is_missed_falls_no_furthe
 def test_it_takes_no_more_memory_than_a_generation_and_says_the_same_in_parts(monkeypatch) -> None:
     draws, whole = around(BENCH_TRUTH, 0.1), Problem.of(BENCH, bench_rollouts()[1])
     told, asked = departures(whole, draws, np.zeros(48)), []
-    rollouts = Problem.rollouts
-    monkeypatch.setattr(Problem, "rollouts", lambda self, unit: asked.append(len(unit)) or rollouts(self, unit))
+    simulated = Problem._simulated
+    monkeypatch.setattr(Problem, "_simulated", lambda self, unit: asked.append(len(unit)) or simulated(self, unit))
     monkeypatch.setattr(problem, "CHUNK_VALUES", 1e5)
     assert departures(whole, draws, np.zeros(48)) == told
     assert sum(asked) == told.particles == 48 + CLOSE_DRAWS * len(BENCH_TRUTH) and max(asked) < 10

@@ -156,6 +156,9 @@ def test_a_large_error_that_an_uncertain_candidate_would_explain_is_left_open():
     slipped = Misfit(3.3, dict(zip("abcdef", (2.0, 2.7, 7.0, 1.3, 2.0, 2.0), strict=True)))
     alone = dataclasses.replace(found, error_before=3.3, reason="too uneven")
     assert rule([alone], slipped, 6, everywhere(28.0)).verdict == NOTHING_MISSING  # one motion does not decide
+    tilted = Misfit(2.6, everywhere(2.6).by_kind, everywhere(5.0).by_kind)
+    assert rule([], tilted, 6, everywhere(28.0)).verdict == OUTSIDE_LIBRARY
+    assert rule([dataclasses.replace(alone, error_before=2.6, error_after=1.2)], tilted, 6, everywhere(28.0)).uses
 
 
 def test_what_a_candidate_explains_is_told_of_the_motions_on_which_it_was_judged():

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from tcbi_infer.diagnose import Diagnosis
     from tcbi_infer.diagnose.rounds import Round
 
+SHOWN = 10  # candidates in the table, and those that the verdict names
 SUMMARY = "Find the physical effect that a model lacks: candidates ranked on held-out motions, and a verdict."
 
 
@@ -144,7 +145,7 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
             print(f"note: {finding}")
     head = ["effect", "held-out gain", "s.e.", "statistic", "error before", "after", "size (90 % interval)"]
     rows = []
-    for e in d.ranking[:10]:
+    for e in (*d.ranking[:SHOWN], *(e for e in d.ranking[SHOWN:] if e.use in d.uses)):
         after = e.error_after if e.refined else None
         rows.append([e.use, e.elpd_gain, e.elpd_se, e.statistic, e.error_before, after, e.sizes_in_words()])
     console.table(f"{d.model}: candidates, best first", head, rows)
@@ -169,9 +170,11 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
         print(
             "next: ./tcbi diagnose BAG… --add              # tries each of them beside the other: both may be missing"
         )
-    if not added and d.uses and not objection(d.to_json(), d.uses[0]):
-        told = any(e.use == d.uses[0] and e.refined for e in d.ranking)
-        print(f"next: ./tcbi add {d.uses[0]} --model {d.model}{'' if told else ' --prior'}")
+    fitted = [e.use for e in d.ranking if e.refined]
+    if not added and d.uses and d.uses[0] in fitted and not objection(d.to_json(), d.uses[0]):
+        print(f"next: ./tcbi add {d.uses[0]} --model {d.model}")
+    for use in (use for use in d.uses if use not in fitted):
+        print(f"next: ./tcbi add {use} --model {d.model} --prior")
     print(f"report: {path} ({d.seconds:.0f} s)")
 
 

@@ -104,6 +104,8 @@ class WhyView(View):
                 use = d["uses"][0]
                 if told := objection(d, use):
                     words(f"{told}.", "p").mark("not-offered")
+                elif not any(e["use"] == use and e["refined"] for e in d["ranking"]):
+                    words(f"No fit can size it. ./tcbi add {use} --model {d['model']} --prior", "p").mark("not-offered")
                 else:
                     ui.button(f"Add {use} to {d['model']} …", on_click=lambda: self.session.go_to("Add")).style(
                         "align-self: start"

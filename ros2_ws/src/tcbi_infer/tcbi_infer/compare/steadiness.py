@@ -4,7 +4,6 @@ Commands that get lost or come in another order on their way make repeats differ
 are told in multiples of that, so that hardly any effect can show, and a model that errs by no more says little.
 """
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,8 @@ LEAST = 1.0  # deg that they differ by at least
 STEP = 0.15  # rad, root of the sum of squares over the joints, of a way to a target that is looked at
 SHORTEST = 0.1  # s from one command to the next
 MISSED, FOLLOWED = 0.35, 0.65  # of the usual response: at most, and at least; what lies between is not counted
+FOLLOWS = 0.2  # of a way, that a robot's usual response is at least
+LEAST_SHARE = 0.02  # of the commands, that is worth a word
 LEAST_STEPS = 10  # pairs of responses from which a share is told
 
 
@@ -61,29 +62,33 @@ def unfollowed(replay: Replay) -> Lost | None:
 
     Of the commands that one of two repeats followed at least, the other missed 2 p / (1 + p) if each misses with
     probability p; that share's interval is Clopper and Pearson's. Commands that both missed do not count: a servo that
-    is too slow for them does that, too. None where too few commands are large and apart enough, where the repeats
-    follow them alike, and for a rig whose commands are torques.
+    is too slow for them does that, too. Each repeat is in one pair, so that pairs are independent; one that followed
+    nothing while the other did was limp. None where too few commands are large and apart enough, where the repeats
+    follow them alike or hardly at all, and for a rig whose commands are torques.
     """
     if load_rig(replay.rig).kind != "position":
         return None
-    pairs = []
-    for s, replicates in enumerate(replay.replicates):
-        for a, b in itertools.combinations(replicates.members, 2):
-            pairs.append(np.stack([_responses(replay, m, replay.commands[s]) for m in (a, b)]))
-    if not pairs:
+    pairs = [
+        np.stack([_responses(replay, member, commands) for member in pair])
+        for members, commands in zip(replay.repeats, replay.commands, strict=True)
+        for pair in zip(members[::2], members[1::2], strict=False)
+    ]
+    known = np.concatenate([pair[np.isfinite(pair)] for pair in pairs]) if pairs else np.zeros(0)
+    usual = float(np.quantile(known, 0.75)) if len(known) else 0.0
+    if usual < FOLLOWS:
         return None
-    both = np.concatenate(pairs, axis=1)
-    both = both[:, np.isfinite(both).all(axis=0)]
-    if both.shape[1] < LEAST_STEPS:
-        return None
-    usual = float(np.quantile(both, 0.75))
-    missed, followed = both < MISSED * usual, both > FOLLOWED * usual
-    together, alone = int(followed.all(axis=0).sum()), int((missed.any(axis=0) & followed.any(axis=0)).sum())
-    if together + alone < LEAST_STEPS or not alone:
+    together = alone = 0
+    for responses in pairs:
+        missed, followed = responses < MISSED * usual, responses > FOLLOWED * usual  # neither of what is not known
+        if followed.any(axis=1).all():
+            together += int(followed.all(axis=0).sum())
+            alone += int((missed.any(axis=0) & followed.any(axis=0)).sum())
+    if together + alone < LEAST_STEPS:
         return None
     share = binomtest(alone, together + alone)
     interval = share.proportion_ci(0.9)
-    return Lost(*(q / (2 - q) for q in (float(share.statistic), float(interval.low), float(interval.high))))
+    lost = Lost(*(q / (2 - q) for q in (float(share.statistic), float(interval.low), float(interval.high))))
+    return lost if lost.share >= LEAST_SHARE else None
 
 
 def _responses(replay: Replay, member: int, commands: Commands) -> np.ndarray:

@@ -35,12 +35,12 @@ def suspected(model: Model, replay: Replay, uses: Sequence[str], error_before: f
       error_before: of the base model over the noise floor.
     """
     lost = unfollowed(replay)
-    sized = [(use, _share(model, use, lost.share)) for use in uses] if lost else []
-    return [_evidence(use, parameter, lost, error_before) for use, parameter in sized if lost and parameter]
+    shares = [(use, _share(model, use)) for use in uses] if lost else []
+    return [_evidence(use, share, lost, error_before) for use, share in shares if lost and share]
 
 
 def _evidence(use: str, parameter: Parameter, lost: Lost, error_before: float) -> Evidence:
-    ends = (float(parameter.to_unit(min(share, parameter.high))) for share in lost)
+    ends = (float(parameter.to_unit(np.clip(share, parameter.low, parameter.high))) for share in lost)
     return Evidence(
         effect=use.partition(":")[0],
         use=use,
@@ -56,13 +56,14 @@ def _evidence(use: str, parameter: Parameter, lost: Lost, error_before: float) -
     )
 
 
-def _share(model: Model, use: str, lost: float) -> Parameter | None:
+def _share(model: Model, use: str) -> Parameter | None:
     """An effect's parameter, if it has only this one and it is the share of commands that are lost."""
     child = model.with_effect(use)
     own = child.parameters[len(model.parameters) :]
-    if len(own) != 1 or not own[0].low <= lost <= own[0].high or _loss(model, model.mean()):
+    if len(own) != 1 or _loss(model, model.mean()):
         return None
-    return own[0] if np.isclose(_loss(child, np.append(model.mean(), lost)), lost) else None
+    middle = (own[0].low + own[0].high) / 2
+    return own[0] if np.isclose(_loss(child, np.append(model.mean(), middle)), middle) else None
 
 
 def _loss(model: Model, values: np.ndarray) -> float:

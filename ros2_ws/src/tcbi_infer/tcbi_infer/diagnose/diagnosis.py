@@ -253,7 +253,8 @@ class _Run:
         kinds, sealed = len(self.split.folds), judge.sealed
         misfit, unfitted = judge.misfit(before), judge.unfitted_misfit()
         left = untried(self.model, self.uses)
-        count = len({use.partition(":")[0] for use in self.uses}) if left else None
+        replayed = {use.partition(":")[0] for use in self.uses if use not in directions.random}
+        count = len(replayed) if left else None
         apart = unsteady(self.replay, self.floor)
         random = suspected(self.model, self.replay, directions.random, before.error) if apart else []
         names = [e.use for e in random]
@@ -274,6 +275,7 @@ class _Run:
             for e in (base, *ranking)
             if e.refined
         }
+        told = [use for use in ruling.uses if use in agreed] or [""]
         return Diagnosis(
             model=self.model.version,
             verdict=ruling.verdict,
@@ -293,8 +295,8 @@ class _Run:
                 claims(kinds, len(sealed), null, self.floor, self.settings)
                 + left_out(left, self.uses)
                 + not_simulated(directions.diverging, directions.random)
-                + bounds(base, [e for e in ranking if e.use in ruling.uses])
-                + [a.statement for use in ruling.uses or ("",) for a in disagreeing(agreed.get(use, ()))]
+                + bounds(base, [e for e in (*ranking, *random) if e.use in ruling.uses])
+                + [a.statement for use in told for a in disagreeing(agreed.get(use, ()))]
             ),
             base=base,
             moments=tuple(judge.moments(before, after)) if after else (),

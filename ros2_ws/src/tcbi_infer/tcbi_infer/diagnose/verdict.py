@@ -161,12 +161,11 @@ def rule(
     if not unsteady:
         return ruling
     told = f"{unsteady} {' or '.join(suspected)} would do that." if suspected else unsteady
-    if ruling.verdict == NOTHING_MISSING:
+    if ruling.verdict == NOTHING_MISSING or (ruling.verdict == OUTSIDE_LIBRARY and suspected):
         what = "Something may be missing that no replay can judge" if suspected else NOT_TOLD
         return Ruling(CANNOT_TELL, tuple(suspected), f"{what}. {told}")
     verdict = CANNOT_TELL if ruling.verdict == EFFECT else ruling.verdict  # lost commands look like damping in the mean
-    also = suspected if verdict == CANNOT_TELL else ()
-    return Ruling(verdict, (*ruling.uses, *also), f"{ruling.statement} {told}")
+    return Ruling(verdict, (*ruling.uses, *suspected), f"{ruling.statement} {told}")
 
 
 def _ruled(
@@ -257,7 +256,8 @@ def _none_accepted(
             f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more motions.",
         )
     badly = misfit.total > WELL_PREDICTED and _in_most(misfit.by_kind or {"": misfit.total}, WELL_PREDICTED)
-    if best and _hinted(best, misfit, kinds, unseen, badly):
+    tilted = _in_most(misfit.attitude, ATTITUDE_PREDICTED)
+    if best and _hinted(best, misfit, kinds, unseen, badly or tilted or not np.isfinite(misfit.total)):
         return Ruling(
             CANNOT_TELL,
             (best.use,),
@@ -268,7 +268,7 @@ def _none_accepted(
     beyond = CANNOT_TELL if tried == 0 else OUTSIDE_LIBRARY
     if badly:
         return Ruling(beyond, (), f"{error[0].upper()}{error[1:]}, and {_unexplained(tried)}.{hint}")
-    if _in_most(misfit.attitude, ATTITUDE_PREDICTED):
+    if tilted:
         tilts = f"roll and pitch by {np.median(list(misfit.attitude.values())):.1f} in the median kind of motion"
         return Ruling(beyond, (), f"{error[0].upper()}{error[1:]}, {tilts}, and {_unexplained(tried)}.{hint}")
     few = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion small effects cannot be seen."
@@ -291,7 +291,8 @@ def _none_accepted(
 def _hinted(best: Evidence, misfit: Misfit, kinds: int, unseen: float, badly: bool) -> bool:
     """Whether a candidate that is not accepted explains so much that nothing can be called complete without it.
 
-    By the share of the error alone where the alternative is that the library has nothing, or where no rate is claimed.
+    By the share of the error alone where the model errs so badly that the alternative is a library that has nothing, or
+    where no rate is claimed.
     """
     if misfit.total <= NOTICEABLE:
         return False

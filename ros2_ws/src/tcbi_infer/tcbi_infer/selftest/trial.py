@@ -8,6 +8,7 @@ for result in trials(bench, robots, keep=Path("selftest.jsonl")):
 import dataclasses
 import hashlib
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -112,9 +113,9 @@ def trial(bench: Bench, robot: Robot, progress: Progress | None = None) -> Resul
         "uses": list(found.uses),
         "statement": found.statement,
         "error_before": found.errors["base"],
-        "error_after": named.error_after if named else found.errors["base"],
+        "error_after": named.error_after if named and named.refined else found.errors["base"],
         "threshold": found.threshold,
-        "statistic": evidence.statistic if evidence else None,
+        "statistic": evidence.statistic if evidence and math.isfinite(evidence.statistic) else None,
         "fitted": {p.name: [p.value, p.low90, p.high90] for p in evidence.parameters} if evidence else {},
         "detectable": {s.parameter: s.value for s in found.detectable if s.use == robot.use and s.parameter},
         "cpu_s": time.process_time() - began,

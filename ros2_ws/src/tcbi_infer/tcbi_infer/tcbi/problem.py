@@ -236,7 +236,7 @@ class Problem:
             return view(self, [self.read(arrays.only(part), rngs) for arrays in exact], valid[part])
 
         parts = [slice(begin, begin + LOOKED_AT) for begin in range(0, len(unit), LOOKED_AT)]
-        with ThreadPoolExecutor(present().threads or self.threads or os.cpu_count()) as pool:
+        with ThreadPoolExecutor(present().threads or self.threads or len(os.sched_getaffinity(0))) as pool:
             return _joined(list(pool.map(looked, parts)))
 
     def _simulated(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
