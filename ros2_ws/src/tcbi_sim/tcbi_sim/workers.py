@@ -9,6 +9,7 @@ What a chunk gives depends on nothing but the chunk, so that it does not matter 
 """
 
 import contextlib
+import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
@@ -73,6 +74,11 @@ _present: ContextVar[Workers] = ContextVar("workers", default=Here())  # noqa: B
 def present() -> Workers:
     """Those that work now."""
     return _present.get()
+
+
+def threads_here(asked: int = 0) -> int:
+    """Threads that work in this process may take: as many as those that work now allow, else as asked, else all."""
+    return present().threads or asked or len(os.sched_getaffinity(0))
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ there are few), C channels of all statistics in a row, B bins.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from tcbi_infer.divergence import Binning
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, Statistic, failing
 from tcbi_infer.tcbi.pooled import JensenShannon, PooledDivergence
+from tcbi_sim.workers import threads_here
 
 IN_CACHE = 5  # particles whose resamples are judged at a time: with 16 it takes twice as long
 
@@ -126,4 +128,6 @@ def resampled_divergences(observed: Observed, simulated: np.ndarray, resamples: 
     real = np.tensordot(weights, observed.counts, axes=1)
     flat = simulated.reshape(*simulated.shape[:2], -1)
     parts = [flat[begin : begin + IN_CACHE] for begin in range(0, len(flat), IN_CACHE)]
-    return np.concatenate([observed.measure(real, (weights @ part).reshape(-1, *real.shape)) for part in parts])
+    with ThreadPoolExecutor(threads_here()) as pool:
+        found = pool.map(lambda part: observed.measure(real, (weights @ part).reshape(-1, *real.shape)), parts)
+        return np.concatenate(list(found))

@@ -8,7 +8,6 @@ The recorded commands are replayed, stamps included, unless the policies that ga
 
 import dataclasses
 import functools
-import os
 import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -45,7 +44,7 @@ from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
-from tcbi_sim.workers import chunk_size, present
+from tcbi_sim.workers import chunk_size, present, threads_here
 
 # of a channel: with fewer the histogram of a right model may lie 6 to 11 times as far off as their scatter suggests (a
 # simulation of such draws), and be taken for a wrong one; with 5 at most 3 times
@@ -236,7 +235,7 @@ class Problem:
             return view(self, [self.read(arrays.only(part), rngs) for arrays in exact], valid[part])
 
         parts = [slice(begin, begin + LOOKED_AT) for begin in range(0, len(unit), LOOKED_AT)]
-        with ThreadPoolExecutor(present().threads or self.threads or len(os.sched_getaffinity(0))) as pool:
+        with ThreadPoolExecutor(threads_here(self.threads)) as pool:
             return _joined(list(pool.map(looked, parts)))
 
     def _simulated(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
