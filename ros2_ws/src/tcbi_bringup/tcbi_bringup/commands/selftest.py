@@ -121,9 +121,8 @@ def _plan(args: argparse.Namespace) -> tuple["Bench", list["Robot"]]:
     settings = Settings() if args.full else QUICK
     keys = find_candidates(model, args.candidates.split(",")) if args.candidates else tried(model, settings)
     candidates = tuple(keys)
-    told = [
-        use for use in candidates if not at_random(model, use)
-    ]  # what is random only a robot that does not repeat itself shows
+    # what is random only a robot that does not repeat itself shows
+    told = [use for use in candidates if not at_random(model, use)]
     planted = find_candidates(model, args.effects.split(",")) if args.effects else told
     _refuse_untried(planted, candidates)
     strengths = list(SIZES) if args.strength == "both" else [args.strength]

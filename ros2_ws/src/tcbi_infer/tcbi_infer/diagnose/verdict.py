@@ -22,10 +22,8 @@ from tcbi_infer.diagnose.evidence import (
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
 WIDELY = 0.25  # quantile over the kinds of motion that must err so much, before it is more than a slip in one of them
-ATTITUDE_PREDICTED = (
-    4.0  # times the floor, of roll and pitch alone; of 12 emulated robots with nothing hidden the worst
-)
-# left 2.1 in so many kinds of motion
+# times the floor, of roll and pitch alone: of 12 robots with nothing hidden the worst left 2.1 in so many kinds
+ATTITUDE_PREDICTED = 4.0
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
 MOSTLY = 1 / 2  # of the excess error: nothing is called complete that one more effect would explain so far
 HINTED = 1 / 2  # of what a single candidate's statistic must be: with less, a share of the error is found by chance

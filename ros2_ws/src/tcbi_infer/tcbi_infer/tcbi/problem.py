@@ -218,7 +218,7 @@ class Problem:
         steps = sum(len(g.measurements) * len(g.time) for g in self.groups) / (self.rate * self.timestep)
         step = chunk_size(len(unit), steps, max(1, int(CHUNK_VALUES / size)))
         chunks = [unit[begin : begin + step] for begin in range(0, len(unit), step)]
-        return _joined(present().map(functools.partial(Problem.seen, self, seen), chunks, progress))
+        return _joined(present().map(functools.partial(self.seen, seen), chunks, progress))
 
     def rollouts(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
         """Simulated rollouts of each group, and (N,) whether none of a particle's diverged."""
