@@ -105,7 +105,8 @@ class WhyView(View):
                 if told := objection(d, use):
                     words(f"{told}.", "p").mark("not-offered")
                 elif not any(e["use"] == use and e["refined"] for e in d["ranking"]):
-                    words(f"No fit can size it. ./tcbi add {use} --model {d['model']} --prior", "p").mark("not-offered")
+                    command = f"./tcbi add {use} --model {d['model']} --prior"
+                    words(f"No fit can size it. As wide as its prior a terminal adds it: {command}", "p")
                 else:
                     ui.button(f"Add {use} to {d['model']} …", on_click=lambda: self.session.go_to("Add")).style(
                         "align-self: start"
