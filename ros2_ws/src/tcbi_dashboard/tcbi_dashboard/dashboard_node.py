@@ -84,10 +84,15 @@ class DashboardNode(Node):
         self._live.topics[topic] = Topic(topic, rate_hz)
 
         def heard(message: Any) -> None:
-            self._live.heard(topic)
-            take(message)
+            if not self._is_own(message):
+                self._live.heard(topic)
+                take(message)
 
         self.create_subscription(kind, topic, heard, EAR)
+
+    def _is_own(self, message: Any) -> bool:
+        """Whether this node has said it: what it hears of itself is no sign of a graph."""
+        return isinstance(message, DiagnosticArray) and all(s.name == self.get_name() for s in message.status)
 
     def _joints(self, message: JointState) -> None:
         self._sensed = message.header.stamp
@@ -110,7 +115,7 @@ class DashboardNode(Node):
             self._live.diagnosed(status.name, level, status.message, values)
 
     def _diagnose(self) -> None:
-        status = DiagnosticStatus(level=DiagnosticStatus.OK, name="dashboard_node", message="listens")
+        status = DiagnosticStatus(level=DiagnosticStatus.OK, name=self.get_name(), message="listens")
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._sensed or self.get_clock().now().to_msg()
         self._health.publish(array)
