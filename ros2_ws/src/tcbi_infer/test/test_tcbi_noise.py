@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
 
-from tcbi_infer.statistics import averaged, from_measurements
+from tcbi_infer.statistics import RolloutArrays, averaged, from_measurements
 from tcbi_infer.tcbi.problem import Problem
-from tcbi_infer.tcbi.rollouts import AVERAGE_S, noisier, sensor_noise
+from tcbi_infer.tcbi.rollouts import AVERAGE_S, TURNING_S, noisier, sensor_noise
 from tcbi_infer.tcbi.simulated import with_noise
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import base_model
 from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
-from tcbi_sim.sensing import add_noise
+from tcbi_sim.sensing import add_noise, tilted
 
 SIGMA = 0.05  # rad
 
@@ -116,7 +116,7 @@ def test_noisy_recordings_and_their_simulations_are_averaged_alike() -> None:
         (problem.groups[0].arrays, quiet.groups[0].arrays),
         (problem.rollouts(np.array([BENCH_TRUTH]))[0][0], quiet.rollouts(np.array([BENCH_TRUTH]))[0][0]),
     ):
-        smooth = averaged(still, ("joint_position",), AVERAGE_S)
+        smooth = averaged(still, ("joint_position",), AVERAGE_S, TURNING_S)
         left = (seen.joint_position - smooth.joint_position)[:, :, 3:-3].std()
         assert left == pytest.approx(SIGMA / 3, rel=0.15), "nine samples of 100 Hz"
 
@@ -124,16 +124,34 @@ def test_noisy_recordings_and_their_simulations_are_averaged_alike() -> None:
 def test_a_mean_over_neighbours_keeps_rotations_and_what_is_missing() -> None:
     (m,) = hexapod_rollouts("balance", count=1)
     time = np.arange(0.0, 1.0, 0.02)
-    arrays = from_measurements([m], time)
+    arrays = dataclasses.replace(from_measurements([m], time), angular_velocity=None)
     flipped = arrays.attitude.copy()
     flipped[:, :, 20:] *= -1
     gap = arrays.joint_position.copy()
     gap[:, :, 10] = np.nan
     both = ("joint_position", "attitude")
-    plain = averaged(arrays, both, AVERAGE_S)
-    found = averaged(dataclasses.replace(arrays, attitude=flipped, joint_position=gap), both, AVERAGE_S)
+    plain = averaged(arrays, both, AVERAGE_S, TURNING_S)
+    found = averaged(dataclasses.replace(arrays, attitude=flipped, joint_position=gap), both, AVERAGE_S, TURNING_S)
     assert np.allclose(found.roll_pitch, plain.roll_pitch) and np.allclose(np.linalg.norm(found.attitude, axis=-1), 1.0)
     assert np.isnan(found.joint_position[:, :, 10]).all() and np.isfinite(np.delete(found.joint_position, 10, 2)).all()
     mean = sum(arrays.joint_position[:, :, k : k + 46] for k in range(5)) / 5
     assert np.allclose(plain.joint_position[:, :, 2:-2], mean)
-    assert np.array_equal(averaged(arrays, both, 0.02).joint_position, arrays.joint_position), "of one sample each"
+    assert np.array_equal(averaged(arrays, both, 0.02, 0.02).joint_position, arrays.joint_position), (
+        "of one sample each"
+    )
+
+
+def test_attitudes_are_turned_along_by_the_body_rates_before_they_are_averaged() -> None:
+    measurements = hexapod_rollouts("balance", duration=3.0)
+    clean = from_measurements(measurements, np.arange(0.0, 3.0, 0.02))
+    noisy = dataclasses.replace(clean, attitude=tilted(clean.attitude, SIGMA, np.random.default_rng(0)))
+
+    def error(arrays: RolloutArrays) -> float:
+        found = averaged(arrays, ("attitude",), AVERAGE_S, TURNING_S)
+        return float((found.roll_pitch - clean.roll_pitch).std())
+
+    with_rates, without = error(noisy), error(dataclasses.replace(noisy, angular_velocity=None))
+    assert error(clean) < 0.001 and with_rates < 0.45 * without, "of 50 samples, and of 5"
+    gap = clean.angular_velocity.copy()
+    gap[:, :, 70] = np.nan
+    assert error(dataclasses.replace(noisy, angular_velocity=gap)) < 1.2 * with_rates

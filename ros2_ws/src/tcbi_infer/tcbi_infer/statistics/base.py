@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tcbi_sim.measurement import Measurement, Scenario, roll_pitch_yaw
+from tcbi_sim.sensing import multiply
 
 OF_PARTICLES = (
     "joint_position", "command_target", "attitude", "angular_velocity", "contact", "position", "distance",
@@ -89,25 +90,56 @@ class RolloutArrays:
         return values[:, rollout, left] * (1 - share) + values[:, rollout, left + 1] * share
 
 
-def averaged(arrays: RolloutArrays, signals: Sequence[str], duration: float) -> RolloutArrays:
+def averaged(arrays: RolloutArrays, signals: Sequence[str], duration: float, turning: float) -> RolloutArrays:
     """The same with some signals as the mean over neighbouring samples, as many on either side.
 
-    At the ends, and beside samples that are missing, it is over as many as there are; a missing one stays missing.
+    Attitudes are turned along by the body rates before they are averaged, so that a mean may be long. At the ends, and
+    beside samples that are missing, it is over as many as there are; a missing one stays missing.
 
     Args:
       arrays: measured or simulated.
       signals: fields of (N, S, T, ...); those that were not measured stay so.
       duration: s that the samples of a mean stand for; one that is not much more than a sample's leaves all as it is.
+      turning: the same of attitudes where body rates were measured.
     """
-    reach = max(0, round((duration / (arrays.time[1] - arrays.time[0]) - 1) / 2))
-    present = {name: getattr(arrays, name) for name in signals if getattr(arrays, name) is not None}
-    found: dict[str, Any] = {
-        name: _moving_mean(_one_sign(values) if name == "attitude" else values, reach)
-        for name, values in present.items()
-    }
-    if "attitude" in found:
-        found["attitude"] = found["attitude"] / np.linalg.norm(found["attitude"], axis=-1, keepdims=True)
+    step = float(arrays.time[1] - arrays.time[0])
+    found: dict[str, Any] = {}
+    for name in signals:
+        values = getattr(arrays, name)
+        if values is None:
+            continue
+        if name != "attitude":
+            found[name] = _moving_mean(values, _reach(duration, step))
+        elif arrays.angular_velocity is None:
+            found[name] = _mean_attitude(values, _reach(duration, step))
+        else:
+            turned = _turned(arrays.angular_velocity, step)
+            start = multiply(values, turned * [1.0, -1.0, -1.0, -1.0])  # what each says of the first: noise, and drift
+            found[name] = multiply(_mean_attitude(start, _reach(turning, step)), turned)
     return replace(arrays, **found)
+
+
+def _reach(duration: float, step: float) -> int:
+    """Samples on either side of one that a mean over a duration takes."""
+    return max(0, round((duration / step - 1) / 2))
+
+
+def _mean_attitude(values: np.ndarray, reach: int) -> np.ndarray:
+    mean = _moving_mean(_one_sign(values), reach)
+    return mean / np.linalg.norm(mean, axis=-1, keepdims=True)
+
+
+def _turned(rates: np.ndarray, step: float) -> np.ndarray:
+    """(N, S, T, 4) attitude relative to the first by (N, S, T, 3) body rates, which rest where they are missing."""
+    rates = np.nan_to_num(rates)
+    half = (rates[:, :, 1:] + rates[:, :, :-1]) * (step / 4)
+    angle = np.linalg.norm(half, axis=-1, keepdims=True)
+    turns = np.concatenate([np.cos(angle), half * np.sinc(angle / np.pi)], axis=-1)
+    turned = np.empty((*rates.shape[:-1], 4))
+    turned[:, :, 0] = [1.0, 0.0, 0.0, 0.0]
+    for t in range(turns.shape[2]):
+        turned[:, :, t + 1] = multiply(turned[:, :, t], turns[:, :, t])
+    return turned
 
 
 def _one_sign(attitude: np.ndarray) -> np.ndarray:

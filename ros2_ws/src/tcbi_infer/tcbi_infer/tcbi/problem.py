@@ -28,6 +28,7 @@ from tcbi_infer.tcbi.pooled import JS, pooled_divergence
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
 from tcbi_infer.tcbi.rollouts import (
     AVERAGE_S,
+    TURNING_S,
     Group,
     blocks_for,
     checked,
@@ -131,7 +132,7 @@ class Problem:
         controllers, said = find_controllers(usable, loop, policies, noisy)
         rate = sample_rate(model, usable, closed_loop=bool(controllers))
         groups = [
-            dataclasses.replace(g, arrays=averaged(g.arrays, noisy, AVERAGE_S))
+            dataclasses.replace(g, arrays=averaged(g.arrays, noisy, AVERAGE_S, TURNING_S))
             for g in grouped(usable, rate, acting=controllers)
         ]
         kept, left_out = _common(statistics, groups)
@@ -264,7 +265,7 @@ class Problem:
 
     def read(self, simulated: RolloutArrays, rngs: Sequence[np.random.Generator]) -> RolloutArrays:
         """Simulated rollouts as the robot's are read: with noise, each particle's of its own, and averaged alike."""
-        return averaged(with_noise(simulated, self.readings_noise, rngs), self.noisy, AVERAGE_S)
+        return averaged(with_noise(simulated, self.readings_noise, rngs), self.noisy, AVERAGE_S, TURNING_S)
 
 
 def _joined(parts: list[Any]) -> Any:

@@ -28,6 +28,7 @@ SENSED = ("attitude", "angular_velocity", "contact")  # that a statistic is made
 SIGNALS = ("joint_position", *SENSED, "linear_acceleration", "position")
 STATE = {"joint_position": ("joint angles", "rad"), "attitude": ("attitudes", "rad"), "position": ("positions", "m")}
 AVERAGE_S = 0.1  # that noisy signals are averaged over: half a control period, commands change no faster
+TURNING_S = 1.0  # the same of attitudes, turned along by the body rates; a rate's bias of 1 degree/s is nothing in it
 STRAY = 0.2  # share of the rollouts, up to which those that differ from the others are named
 
 
@@ -298,6 +299,8 @@ def noisier(noise: Noise, nominal: Noise) -> list[str]:
     return [
         f"{STATE[name][0]} are recorded with a noise of {getattr(noise, name):.2g} {STATE[name][1]} where the rig has "
         f"{getattr(nominal, name):.2g}; simulated readings get as much, and both are averaged over {AVERAGE_S} s"
+        + f" (over {TURNING_S} s, turned along by the body rates, where these were recorded)"
+        * (name == "attitude")
         for name in noisy_signals(noise, nominal)
     ]
 
