@@ -159,7 +159,8 @@ def test_what_an_effect_brings_stands_beside_what_fitting_alone_brings() -> None
     from hidden_effects.figures import figures
 
     wrong = {"unfitted": 9.0, "fitted": 5.0, "added": 5.0}
-    found = [result("payload", "effect", "payload"), result("none", "nothing_missing")]
+    own = {"unfitted": 4.0, "fitted": 2.0, "added": 0.9}
+    found = [result("payload", "effect", "payload", errors_own_floor=own), result("none", "nothing_missing")]
     found += [result("cogging", "nothing_missing", errors=wrong) for _ in range(3)]
     name = "median error over the floor on unseen motions, "
     told = {f["name"].removeprefix(name): f for f in figures(found) if f["name"].startswith(name)}
@@ -175,6 +176,8 @@ def test_what_an_effect_brings_stands_beside_what_fitting_alone_brings() -> None
         "unit"
     ] == "of 1"
     assert "median wall time of a diagnosis, up to 2 at once" in {f["name"] for f in figures(found)}
+    (floor,) = (f for f in figures(found) if "own floor" in f["name"] and "named right" in f["name"])
+    assert (floor["value"], floor["unit"]) == (0.9, "of 1"), "older results have none"
 
 
 def test_the_confusion_matrix_says_who_was_taken_for_whom() -> None:

@@ -103,6 +103,9 @@ def _errors(found: list[Result]) -> list[Figure]:
             value = median(finite(r["errors"][key]) for r in mine)
             name = f"median error over the floor on unseen motions, {which}: {model}"
             rows.append(figure(name, value, f"of {len(mine)}", most=most if key == "added" else None))
+        own = [finite(r["errors_own_floor"]["added"]) for r in mine if "errors_own_floor" in r]
+        name = f"median error over these motions' own floor, {which}: {VERSIONS['added']}"
+        rows.append(figure(name, median(own), f"of {len(own)}"))
     return rows
 
 

@@ -53,7 +53,7 @@ def judged(job: Job) -> Result:
 
     A robot with several effects is diagnosed again with what was found in the model, until no effect is found. `errors`
     are over the noise floor: of the model that was diagnosed, of the same with its parameters fitted, and of the new
-    version.
+    version; `errors_own_floor` over that of the unseen motions alone, of which feet may slip more than in the others.
     """
     plan_name, hidden, strength, seed = job
     plan = PLANS[plan_name]
@@ -64,15 +64,20 @@ def judged(job: Job) -> Result:
     began, cpu = time.perf_counter(), time.process_time()
     found, uses, added = _diagnosed(model, seen, plan, MOST if len(parts(hidden)) > 1 else 1)
     spent = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
-    floor = compare(model, seen, particles=0).floor
+    floors = [compare(model, rollouts, particles=0).floor for rollouts in (seen, unseen)]
     versions = {"unfitted": model, "fitted": adopt(model, "", found[0].to_json()), "added": added}
+    errors, own = (
+        {name: compare(m, unseen, particles=0, floor=f).error_over_floor for name, m in versions.items()}
+        for f in floors
+    )
     return {
         "format": FORMAT,
         **dict(zip(("plan", "hidden", "strength", "seed"), job, strict=True)),
         **_told(found[0]),
         "found": uses,
         "rounds": [_told(d) for d in found[1:]],
-        "errors": {name: compare(m, unseen, particles=0, floor=floor).error_over_floor for name, m in versions.items()},
+        "errors": errors,
+        "errors_own_floor": own,
         "truth": robot.specimen.truth(),
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         **spent,
