@@ -93,7 +93,7 @@ def test_who_cancels_does_not_wait_for_a_policy_node_that_hangs(
     own_process: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(retrain_node_module, "TrainingProcess", lambda: SimpleNamespace(close=lambda: None))
-    monkeypatch.setattr(retrain_node_module, "SWAP_TIMEOUT_S", 60.0)
+    monkeypatch.setattr(retrain_node_module, "SWAP_PATIENCE_S", 60.0)
     node: Any = RetrainNode()
     handle: Any = SimpleNamespace(is_cancel_requested=False, succeed=lambda: None)
     asked: list[Any] = []

@@ -26,7 +26,8 @@ from tcbi_policy.retraining import Event, Job, Outcome, reference_of, retrain, r
 from tcbi_policy.runs import TrainingProcess
 from tcbi_sim.store import LATEST, default_root
 
-SWAP_TIMEOUT_S, SWAP_POLL_S = 5.0, 0.05
+PATIENCE_S, POLL_S = 5.0, 0.05  # with the policy node
+SWAP_PATIENCE_S = 30.0  # a machine that has trained until now is busy, and nothing but this answer is missing
 # after a training: just then the robot tries the new policy, and has no processor to spare; or after a failed start
 STAND_BY_AGAIN_S = 60.0
 ENDING_S, ENDING_POLL_S = 4.0, 0.1  # for a training to end with the node
@@ -200,7 +201,7 @@ class RetrainNode(Node):
         if in_use not in ("", outcome.rival):
             return f"kept as {reference}: {in_use}, which is in use, is no policy for {task}"
         answer = self._load.call_async(LoadPolicy.Request(policy=reference, replaces=outcome.rival))
-        if not self._comes(handle, answer.done):
+        if not self._comes(handle, answer.done, SWAP_PATIENCE_S):
             cancelled = ", cancelled while it was asked to take it" if handle.is_cancel_requested else ""
             return f"kept as {reference}: the policy node did not answer{cancelled}"
         response = answer.result()
@@ -210,11 +211,11 @@ class RetrainNode(Node):
             return f"kept as {reference}: it takes over when the recording with {response.policy_id} ends"
         return f"now in use as {response.policy_id}"
 
-    def _comes(self, handle: ServerGoalHandle, there: Callable[[], bool]) -> bool:
+    def _comes(self, handle: ServerGoalHandle, there: Callable[[], bool], patience_s: float = PATIENCE_S) -> bool:
         """Whether something is there in time; who cancels does not wait for it."""
-        deadline = time.monotonic() + SWAP_TIMEOUT_S
+        deadline = time.monotonic() + patience_s
         while not (found := there()) and time.monotonic() < deadline and not handle.is_cancel_requested:
-            time.sleep(SWAP_POLL_S)
+            time.sleep(POLL_S)
         return found
 
     def _diagnose(self) -> None:
