@@ -10,11 +10,14 @@ from legged_cases import walk
 from scipy.linalg import hadamard
 
 from tcbi_infer.compare import compare
+from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose import scatter as module
 from tcbi_infer.diagnose.adopt import adopt
-from tcbi_infer.diagnose.fit import Nuisance
-from tcbi_infer.diagnose.scatter import joint_gains, relinearised, slopes
+from tcbi_infer.diagnose.fit import Fitter, Nuisance
+from tcbi_infer.diagnose.problem import Problem
+from tcbi_infer.diagnose.scatter import joint_gains, joint_scatter, relinearised, slopes
+from tcbi_infer.diagnose.screen import Screen, simulate_directions
 from tcbi_infer.diagnose.settings import QUICK
 from tcbi_sim.model import Model, base_model
 from tcbi_sim.scatter import SCATTER
@@ -109,3 +112,19 @@ def test_the_version_that_a_diagnosis_makes_knows_the_gains_and_predicts_better_
     alike = dataclasses.replace(fitted, joint_gains=())
     error, before = (compare(m, unseen, particles=0).error_over_floor for m in (fitted, alike))
     assert error - 1.0 < 0.8 * (before - 1.0)
+
+
+def test_one_servo_that_is_much_softer_is_found_beside_the_scatter():
+    """Though the scatter is a nuisance that takes up all that is linear in a gain."""
+    odd, model, values = "gain_scatter:rf_tibia", base_model("hexapod"), np.array([0.7, 0.75, 2.0])
+    replay = Replay.of(model, walk(model.with_effect(odd), np.append(values, 0.55), count=3))
+    predicted = replay.predict(model, values[None], timestep=0.005)
+    problem = Problem.of(replay, replay.noise_floor(replay.measured - replay.by_rollout(predicted[0])).values)
+    sets = np.arange(3)
+    start = Fitter(problem, model, Nuisance.none(problem), sets, 0.005).run(model.to_unit(values)[None], radii=())
+    fitter = Fitter(problem, model, joint_scatter(problem, start, sets, 0.005), sets, 0.005)
+    base = fitter.run(start.unit[None], radii=(0.08,))
+    uses = (odd, "gain_scatter:lm_tibia", "weak_leg:rf")
+    screen = Screen(problem, base, simulate_directions(problem, base, uses, sets, 0.005), sets)
+    found, other, leg = screen.held_out(screen.targets(base.residual[None]))[:, :, 0].sum(axis=0)
+    assert found > 1.2 * max(leg, other) and found > 20.0  # nats; with the slopes of a small change -98 beside 62

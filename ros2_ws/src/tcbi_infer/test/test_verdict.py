@@ -68,6 +68,33 @@ def test_a_candidate_that_fails_one_requirement_is_not_named(fault):
     assert ruled(found, base_error=2.0).verdict == NOTHING_MISSING
 
 
+RATES = {"angular_velocity": (2.4, 1.2), "contact": (1.0, 0.5)}
+
+
+def test_an_effect_that_shows_in_the_body_rates_alone_is_named_by_their_error():
+    sensor = evidence("gyro_bias", before=1.1, after=1.1, elsewhere=RATES)
+    ruling = ruled(sensor, base_error=1.1)
+    assert (ruling.verdict, ruling.uses) == (EFFECT, ("gyro_bias",))
+    falls = "the error of angular velocity on motions not used for the fit falls from 2.4 to 1.2 times the noise floor."
+    assert falls in ruling.statement and "That of joints and attitude stays at 1.1." in ruling.statement
+    fell = ruled(dataclasses.replace(sensor, error_after=0.9), base_error=1.1).statement
+    assert "falls from 1.1 to 0.9" in fell and "stays" not in fell
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"elsewhere": {"angular_velocity": (2.4, 2.0)}},
+        {"elsewhere": {"angular_velocity": (1.4, 0.7)}},
+        {"error_after": 1.2},
+        {"statistic": 2.9},
+    ],
+)
+def test_signals_beside_joints_and_attitude_name_no_effect_where_little_falls_or_something_rises(fault):
+    sensor = evidence("gyro_bias", **{"before": 1.1, "after": 1.1, "elsewhere": RATES} | fault)
+    assert ruled(sensor, base_error=1.1).verdict == NOTHING_MISSING
+
+
 def test_an_effect_is_not_named_where_the_model_as_it_was_predicts_better():
     ruling = ruled(evidence("backlash", after=3.8, before=11.7), base_error=11.7, unfitted=2.5)
     assert ruling.verdict == NOTHING_MISSING

@@ -83,6 +83,8 @@ class Evidence:
       error_before: error over noise floor on rollouts that no fit saw, base model refitted.
       error_after: the same with the effect.
       held_out: error over noise floor before and after, of the open motions alone, each predicted without its own kind.
+      elsewhere: errors over noise floor before and after of the other signals that fits look at, by their names, on
+        rollouts that no fit saw.
       refined: fitted by simulation; else only screened, and the figures are a linear estimate.
       gains: of each kind of motion, in nats; `sizes` the replicate sets of each.
       alike: uses that change the signals in nearly the same way.
@@ -107,6 +109,7 @@ class Evidence:
     confused_with: tuple[str, ...] = ()
     alike: tuple[str, ...] = ()
     held_out: tuple[float, float] | None = None
+    elsewhere: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     gains: tuple[float, ...] = ()
     sizes: tuple[int, ...] = ()
     names: tuple[str, ...] = ()

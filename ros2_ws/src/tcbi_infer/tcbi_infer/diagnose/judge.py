@@ -14,7 +14,7 @@ from tcbi_infer.compare.comparison import error_over_floor
 from tcbi_infer.compare.locate import worst_moments
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replicates import Split
-from tcbi_infer.compare.signals import ATTITUDE, JOINT, Group
+from tcbi_infer.compare.signals import ATTITUDE, GROUPS, JOINT, Group
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import Evidence, Misfit, Moment, ParameterEstimate
 from tcbi_infer.diagnose.fit import Fit
@@ -35,6 +35,7 @@ class Judged:
     fit: Fit
     held: HeldOut
     error: float  # over the noise floor, on motions that no fit saw
+    elsewhere: dict[str, float]  # the same of each other kind of signal that fits look at, by its name
 
 
 class Judge:
@@ -67,7 +68,13 @@ class Judge:
     def judge(self, fit: Fit) -> Judged:
         """Predict each kind of motion from the others, and the sealed motions from all."""
         held = held_out(self.problem, fit, self.sets, self.timestep)
-        return Judged(fit, held, self._unseen_error(fit, held))
+        predicted, sets = self._unseen(fit, held)
+        elsewhere = {
+            group.name: self._error(predicted, sets, group)
+            for group in GROUPS
+            if group.fitted and group not in (JOINT, ATTITUDE) and self._measured(sets, group)
+        }
+        return Judged(fit, held, self._error(predicted, sets), elsewhere)
 
     def held_out_error(self, judged: Judged) -> float:
         """Error over the floor of the open motions, each predicted without its own kind.
@@ -95,23 +102,30 @@ class Judge:
         With `groups`, of these signals alone.
         """
         found: dict[str, float] = {}
-        channels = self.replay.layout.where(*(groups or (JOINT, ATTITUDE)))
         for number, fold in enumerate(fold_indices(self.problem, self.sets), 1):
             sets = self.sets[fold]
-            if not self.problem.weight[sets][..., channels].any():
+            if not self._measured(sets, *groups):
                 continue
             first = self.replay.measurements[self.replay.replicates[sets[0]].members[0]]
             name = f"{first.rollout_id} ({first.policy_id or f'motion {number}'})"
             found[name] = self._error(predicted[fold], list(sets), *groups)
         return found
 
-    def _unseen_error(self, fit: Fit, held: HeldOut) -> float:
-        """On sealed motions, cross-validated where none are sealed; each servo with its own gain."""
+    def _unseen(self, fit: Fit, held: HeldOut) -> tuple[np.ndarray, list[int]]:
+        """Predicted (sets, T, C) sealed motions, cross-validated open ones where none are sealed; and which these are.
+
+        Each servo has its own gain.
+        """
         sealed = list(self.split.sealed)
         if sealed:
             model = dataclasses.replace(fit.model, joint_gains=joint_gains(fit))
-            return self._error(self.replay.predict(model, fit.parameters[None], sealed, self.timestep)[0], sealed)
-        return self._error(self.problem.observed[self.sets] - held.residual, list(self.sets))
+            return self.replay.predict(model, fit.parameters[None], sealed, self.timestep)[0], sealed
+        return self.problem.observed[self.sets] - held.residual, list(self.sets)
+
+    def _measured(self, sets: Sequence[int], *groups: Group) -> bool:
+        """Whether any of these signals was measured in some sets, as of `_error`."""
+        channels = self.replay.layout.where(*(groups or (JOINT, ATTITUDE)))
+        return bool(self.problem.weight[sets][..., channels].any())
 
     def _error(self, predicted: np.ndarray, sets: Sequence[int], *groups: Group) -> float:
         """Of predictions (sets, T, C); infinite where one diverged; of joints and attitude, or of `groups`."""
@@ -148,6 +162,7 @@ class Judge:
             refined=True,
             converged=fit.converged,
             held_out=(self.held_out_error(before), self.held_out_error(after)),
+            elsewhere={name: (before.elsewhere[name], error) for name, error in after.elsewhere.items()},
             gains=tuple(float(g) for g in gains),
             sizes=tuple(int(s) for s in self.sizes),
             names=fit.model.names,

@@ -17,14 +17,12 @@ from tcbi_infer.diagnose.at_random import at_random
 from tcbi_infer.diagnose.fit import Fit, Fitter
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import Model
-from tcbi_sim.scatter import SCATTER
 from tcbi_sim.workers import Here, present
 
 SIZES = (0.1, 0.35)  # of the range on one side of the null value
 CORNERS = (0.2, 0.8)  # of the range of a parameter without a null value
 ONE_SIZE = 0.2  # where one effect has many places
 NO_ROOM = 0.05  # of a range
-SCREENED_SCATTER = 6.0  # standard deviations of the scatter between joints: one odd joint
 MOST_STRETCH = 1.6  # of a direction beyond the simulated size
 INFLUENCE = 0.15  # of the noise floor: less than this at every size is no influence
 
@@ -107,12 +105,8 @@ def simulate_directions(
     predicted = _predictions(problem, base.unit, list(sets), timestep, candidates, progress)
     counted = (problem.weight[list(sets)] > 0) & np.isfinite(reference)
     owner, units, changes, bounds, models, untestable, diverging, kept = [], [], [], [], [], [], [], []
-    for use, (model, points, joint), values in zip(uses, candidates, predicted, strict=True):
-        if joint:
-            change = SCREENED_SCATTER * base.scatter.effect[sets][..., base.scatter.names.index(joint)][None]
-        else:
-            change = values - reference
-        change = np.where(counted, change, 0.0)
+    for use, (model, points), values in zip(uses, candidates, predicted, strict=True):
+        change = np.where(counted, values - reference, 0.0)
         alive = np.isfinite(change).all(axis=(1, 2, 3)) & counted.any()
         if not alive.any():
             diverging.append(use)
@@ -148,17 +142,16 @@ class Candidate(NamedTuple):
 
     model: Model
     points: np.ndarray  # (n, q)
-    joint: str  # whose scatter was simulated already as a nuisance, else ""
 
 
 def _candidate(base: Fit, use: str, names: list[str]) -> Candidate:
+    """Where to look at a use: far out at a joint's gain, of which a nuisance takes up all that is linear."""
     model = base.model.with_effect(use)
     name, _, joint = use.partition(":")
     if name == "gain_scatter" and joint in base.scatter.names:
-        return Candidate(
-            model, np.array([[float(model.parameters[-1].to_unit(1.0 + SCREENED_SCATTER * SCATTER))]]), joint
-        )
-    return Candidate(model, effect_points(model, len(base.unit), names.count(name) > 1), "")
+        null = float(model.parameters[-1].to_unit(1.0))
+        return Candidate(model, np.array([[null - SIZES[-1] * null], [null + SIZES[-1] * (1.0 - null)]]))
+    return Candidate(model, effect_points(model, len(base.unit), names.count(name) > 1))
 
 
 def _predictions(
@@ -183,9 +176,7 @@ def _predictions(
 def _predicted(
     problem: Problem, unit: np.ndarray, sets: list[int], timestep: float, candidate: Candidate
 ) -> np.ndarray:
-    model, points, joint = candidate
-    if joint:
-        return np.empty(0)
+    model, points = candidate
     vectors = np.concatenate([np.repeat(unit[None], len(points), axis=0), points], axis=1)
     return problem.replay.predict(model, model.from_unit(vectors), sets, timestep)
 

@@ -21,6 +21,7 @@ from tcbi_infer.diagnose.evidence import (
 )
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
+ELSEWHERE = 0.2  # the same of one other kind of signal, where an effect of a sensor shows in no joint and no attitude
 WIDELY = 0.25  # quantile over the kinds of motion that must err so much, before it is more than a slip in one of them
 # times the floor, of roll and pitch alone: of 12 robots with nothing hidden the worst left 2.1 in so many kinds
 ATTITUDE_PREDICTED = 4.0
@@ -62,12 +63,21 @@ def accept(evidence: Evidence, threshold: float, unfitted: float) -> tuple[bool,
         return False, "its size may be zero"
     if not evidence.converged:
         return False, "its fit did not converge"
-    if not _lowered(evidence.error_before, evidence.error_after):
+    if not _lowered(evidence.error_before, evidence.error_after) and not shows_in(evidence):
         contradicted = evidence.held_out and _lowered(*evidence.held_out)
         return False, CONTRADICTED if contradicted else "it hardly lowers the error"
     if _lowered(evidence.error_after, unfitted):
         return False, f"the model as it was, not fitted at all, errs less ({unfitted:.1f} times the noise floor)"
     return True, ""
+
+
+def shows_in(evidence: Evidence) -> str:
+    """The kind of signal beside joints and attitude whose error an effect lowers, where it leaves theirs; else ""."""
+    if _lowered(evidence.error_after, evidence.error_before):
+        return ""
+    left = {name: after / before for name, (before, after) in evidence.elsewhere.items() if before > NOTICEABLE}
+    least = min(left, key=lambda name: left[name], default="")
+    return least if least and left[least] < 1 - ELSEWHERE else ""
 
 
 def _lowered(before: float, after: float) -> bool:
@@ -215,11 +225,15 @@ def _ruled(
             f"Something is missing, but these rollouts cannot tell which: {names}.{caveat}",
         )
     still = " Much is left to explain: add it, and diagnose the new version again." if left > WELL_PREDICTED else ""
+    before, after, of, stays = best.error_before, left, "", ""
+    if not _lowered(before, left) and (signal := shows_in(best)):
+        (before, after), of = best.elsewhere[signal], f" of {signal.replace('_', ' ')}"
+        stays = f" That of joints and attitude stays at {left:.1f}."
     return Ruling(
         EFFECT,
         (best.use,),
-        f"The model lacks {best.use}: with it the error on motions not used for the fit falls from "
-        f"{best.error_before:.1f} to {left:.1f} times the noise floor.{still}{caveat}",
+        f"The model lacks {best.use}: with it the error{of} on motions not used for the fit falls from "
+        f"{before:.1f} to {after:.1f} times the noise floor.{stays}{still}{caveat}",
     )
 
 
