@@ -9,20 +9,20 @@ interval leaves out the null value.
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from tcbi_contract.wording import with_unit
-from tcbi_infer.compare.signals import ATTITUDE, JOINT
+from tcbi_infer.compare.signals import ATTITUDE, GROUPS, JOINT, Group
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import DetectableSize
 from tcbi_infer.diagnose.heldout import imitated, shared_error
 from tcbi_infer.diagnose.null import Null
 from tcbi_infer.diagnose.problem import TAIL, Problem
 from tcbi_infer.diagnose.screen import Screen, Targets
-from tcbi_infer.diagnose.verdict import USEFUL
+from tcbi_infer.diagnose.verdict import ELSEWHERE, NOTICEABLE, USEFUL
 from tcbi_sim.parameter import Parameter
 
 POWER = 0.8
@@ -42,17 +42,19 @@ class Background:
     Attributes:
       null: data sets with nothing missing, and the threshold.
       error: over the noise floor, that the best model leaves on unseen motions.
+      elsewhere: the same of each other kind of signal that fits look at, by its name.
       shared: how many channels err alike.
     """
 
     null: Null
     error: float
+    elsewhere: Mapping[str, float]
     shared: float
 
     @staticmethod
-    def of(null: Null, error: float, residual: np.ndarray) -> "Background":
+    def of(null: Null, error: float, elsewhere: Mapping[str, float], residual: np.ndarray) -> "Background":
         """From the (S, T, C) residual that the best model leaves."""
-        return Background(null, error, shared_error(residual))
+        return Background(null, error, elsewhere, shared_error(residual))
 
 
 def detectable_sizes(problem: Problem, screen: Screen, background: Background) -> tuple[DetectableSize, ...]:
@@ -132,17 +134,27 @@ class _Use:
         self.slope = np.linalg.solve(m.nn.sum(axis=0) + np.diag(m.prior), m.nk.sum(axis=0))  # (n, K)
         self.energy = m.kk.sum(axis=0)
         self.profiled = np.maximum(self.energy - np.einsum("nk,nk->k", m.nk.sum(axis=0), self.slope), 1e-12)
-        self.visible = self._visible(problem)
+        self.useful = self._useful(problem)
 
-    def _visible(self, problem: Problem) -> np.ndarray:
-        """(K,) root mean square over the floor, of joints and attitude, less what a refit absorbs."""
-        screen = self.screen
+    def _useful(self, problem: Problem) -> np.ndarray:
+        """(K,) by how much the error of the signals that show a direction best falls with it, 1 where just enough."""
+        screen, background = self.screen, self.background
         left = screen.change - np.einsum("sin,nk->ksi", screen.design, self.slope, optimize=True)
-        channels = problem.replay.layout.where(JOINT, ATTITUDE)
-        left = left.reshape(len(left), len(screen.sets), *problem.observed.shape[1:])[..., channels]
-        weight = problem.weight[screen.sets][..., channels]
-        squares = ((left / problem.floor[channels]) ** 2 * weight).sum(axis=(1, 2))
-        return np.sqrt((squares / np.maximum(weight.sum(axis=(0, 1)), 1)).mean(axis=-1))
+        left = left.reshape(len(left), len(screen.sets), *problem.observed.shape[1:])
+
+        def visible(*groups: Group) -> np.ndarray:
+            """(K,) root mean square over the floor, less what a refit absorbs."""
+            channels = problem.replay.layout.where(*groups)
+            weight = problem.weight[screen.sets][..., channels]
+            squares = ((left[..., channels] / problem.floor[channels]) ** 2 * weight).sum(axis=(1, 2))
+            return np.sqrt((squares / np.maximum(weight.sum(axis=(0, 1)), 1)).mean(axis=-1))
+
+        falls = [visible(JOINT, ATTITUDE) / (background.error * np.sqrt(1.0 / (1.0 - USEFUL) ** 2 - 1.0))]
+        for group in (g for g in GROUPS if g.name in background.elsewhere):
+            error = background.elsewhere[group.name]
+            enough = max(error**2 * (1.0 / (1.0 - ELSEWHERE) ** 2 - 1.0), NOTICEABLE**2 - error**2)
+            falls.append(visible(group) / np.sqrt(enough))
+        return np.max(falls, axis=0)
 
     def sizes(self) -> list[DetectableSize]:
         """One for each sized parameter and way: at its hardest place, or at the easiest if not shown at all of them."""
@@ -257,8 +269,7 @@ class _Use:
 
     def _usefulness(self, ks: np.ndarray, multiples: np.ndarray) -> np.ndarray:
         """(G,) by how much the error falls, 1 where just enough."""
-        needed = self.background.error * np.sqrt(1.0 / (1.0 - USEFUL) ** 2 - 1.0)
-        return np.abs(multiples) * self.visible[ks] / needed
+        return np.abs(multiples) * self.useful[ks]
 
     def _distance(self, ks: np.ndarray, multiples: np.ndarray) -> np.ndarray:
         """(G,) how far the interval stays from the null value, 1 where it just leaves it out."""

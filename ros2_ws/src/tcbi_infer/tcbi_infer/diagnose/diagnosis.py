@@ -217,7 +217,9 @@ class _Run:
         for e in evidence:
             accepted, reason = accept(e, null.threshold, judge.unfitted)
             judged.append(dataclasses.replace(e, accepted=accepted, reason=reason, alike=alike.get(e.use, ())))
-        background = Background.of(null, min(e.error for e in (before, *after.values())), leftover)
+        every = (before, *after.values())
+        elsewhere = {name: min(e.elsewhere[name] for e in every) for name in before.elsewhere}
+        background = Background.of(null, min(e.error for e in every), elsewhere, leftover)
         detectable = detectable_sizes(self.problem, search.screen, background)
         named = {directions.uses[u]: e for u, e in after.items()}
         return self._conclude(judge, before, drift, ranked(judged), named, null, directions, detectable)
