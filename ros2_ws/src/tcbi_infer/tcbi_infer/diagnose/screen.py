@@ -145,12 +145,15 @@ class Candidate(NamedTuple):
 
 
 def _candidate(base: Fit, use: str, names: list[str]) -> Candidate:
-    """Where to look at a use: far out at a joint's gain, of which a nuisance takes up all that is linear."""
+    """Where to look at a use.
+
+    Of a joint's gain, of which a nuisance takes up all that is linear: far out, on the side to which that leans.
+    """
     model = base.model.with_effect(use)
     name, _, joint = use.partition(":")
     if name == "gain_scatter" and joint in base.scatter.names:
-        null = float(model.parameters[-1].to_unit(1.0))
-        return Candidate(model, np.array([[null - SIZES[-1] * null], [null + SIZES[-1] * (1.0 - null)]]))
+        null, leans = float(model.parameters[-1].to_unit(1.0)), base.nuisance[base.scatter.names.index(joint)]
+        return Candidate(model, np.array([[null + SIZES[-1] * (1.0 - null if leans > 0 else -null)]]))
     return Candidate(model, effect_points(model, len(base.unit), names.count(name) > 1))
 
 

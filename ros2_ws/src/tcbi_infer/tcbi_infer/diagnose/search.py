@@ -17,8 +17,9 @@ from tcbi_sim.model import Model
 RIVAL_SIZES = (0.08, 0.16, 0.3, 0.5)  # of an effect's range
 RIVAL = 1 / 2  # of what the best effect explains of a few sets: one that explains as much in its place is worth a fit
 LEAST_WORTH = 10.0  # nats: who explains less has no rivals to look for
-HOPELESS = 0.2  # of the best candidate's gain over the base model's own fit: one that gains less with coarse steps gets
-# no fine ones, and one that starts with less on a few sets, in the best one's place or its own, no coarse ones
+# of the best candidate's gain over the base model's own fit:
+HOPELESS = 0.2  # one that starts with less on a few sets, in the best one's place or its own, gets no coarse steps
+NO_RIVAL = 1 / 3  # one that gains less with coarse steps gets no fine ones
 Fits = dict[int, tuple[Fit, Fit]]  # of a use, by its number: with coarse and with fine steps
 Progress = Callable[[str, float], None]  # stage, share done
 
@@ -164,7 +165,7 @@ class Search:
                 fitted[u] = self._escaped(fitted[u])
         gains = {u: self.base_loss - rough.total for u, rough in fitted.items()}
         best = max([self.base_loss - least_loss, *gains.values()])
-        least = min(HOPELESS * best, best)
+        least = min(NO_RIVAL * best, best)
         return {
             u: (rough, refined(self.problem, rough, self.sets, self.settings))
             for u, rough in fitted.items()
