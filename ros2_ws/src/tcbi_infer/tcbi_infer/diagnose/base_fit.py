@@ -62,7 +62,7 @@ def fit_base(
     full = np.zeros_like(problem.observed)
     full[sets] = first.residual
     problem = problem.with_autocorrelation(full)
-    progress("fitting the base model", 0.12)
+    progress("fitting the base model", 0.05)
     again = Fitter(problem, model, joint_scatter(problem, first, sets, settings.coarse), sets, settings.coarse)
     fit = again.run(first.unit[None])
     return problem, again.escape(fit, len(model.parameters)) if settings.escape else fit
@@ -93,7 +93,7 @@ def better_base(
             starts.append(start)
     if not starts:
         return None
-    progress("fitting the base model again", 0.85)
+    progress("fitting the base model again", 0.96)
     fitter = Fitter(problem, base.model, base.scatter, sets, settings.coarse)
     few = fitter.on_few_sets()
     here, *raced = (few.run(start[None], radii=RACE, valleys=False) for start in (base.unit, *starts))

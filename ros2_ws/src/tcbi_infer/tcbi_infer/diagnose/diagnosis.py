@@ -56,6 +56,8 @@ MEND_FIRST = (
     "robot after all, --trust-recording searches."
 )
 DIVERGES = "its simulations diverge"
+# shares of a diagnosis done before and after: 90 s of a hexapod's motion and the whole library, the mean of two robots
+SCREENING, FITS, RIVALS, HIDDEN = (0.21, 0.42), (0.42, 0.92), (0.92, 0.95), (0.95, 0.96)
 
 
 def diagnose(
@@ -170,7 +172,7 @@ class _Run:
         """Screen the candidates around the base model's fit, and fit those with hope."""
         # what a coarse time step gets wrong must not look like an effect
         base = refined(self.problem, coarse, self.sets, self.settings)
-        self.progress("screening effects", 0.25)
+        self.progress("screening effects", SCREENING[0])
         # with one kind of motion nothing tells candidates apart; one that is asked for alone is fitted all the same
         comparable = (len(self.split.folds) > 1 or len(self.uses) == 1) and not self.mend
         uses = self.uses if comparable and base.total < np.inf else []
@@ -183,11 +185,11 @@ class _Run:
         data = screen.targets(base.residual[None])
         gains = screen.held_out(data)[:, :, 0]
         search = Search(self.problem, base, coarse.total, screen, data, gains, self.sets, self.settings, self.progress)
-        fits = search.fit(search.best_by_screening(), (0.55, 0.7))
-        fits |= search.fit(search.rivals(fits), (0.7, 0.75), fits)
+        fits = search.fit(search.best_by_screening(), FITS)
+        fits |= search.fit(search.rivals(fits), RIVALS, fits)
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
         error = judge.held_out_error(before)
-        for look in (search.elsewhere, lambda fits: search.fit(search.hidden(fits), (0.8, 0.85), fits)):
+        for look in (search.elsewhere, lambda fits: search.fit(search.hidden(fits), HIDDEN, fits)):
             least = min([error, *(judge.held_out_error(e) for e in after.values())])
             if least > WELL_PREDICTED and error - least < MOSTLY * (error - 1.0):
                 further = look(fits)
@@ -201,7 +203,7 @@ class _Run:
         drift, search = self._drift(found.coarse, found.base), found.search
         if search is None:
             return self._conclude(judge, before, drift, [], {}, Null.of_no_search(), directions)
-        self.progress("simulating nothing missing", 0.85)
+        self.progress("simulating nothing missing", 0.97)
         leftover = min([found.base, *[fine for _, fine in found.fits.values()]], key=lambda f: f.total).residual
         rng = np.random.default_rng(self.settings.seed)
         null = simulate_null(self.problem, search.screen, found.base.scatter, leftover, self.sets, rng)
@@ -226,7 +228,8 @@ class _Run:
 
     def _screened(self) -> Callable[[str], None]:
         count = itertools.count(1)
-        return lambda use: self.progress(f"screening {use}", 0.25 + 0.3 * next(count) / len(self.uses))
+        begin, end = SCREENING
+        return lambda use: self.progress(f"screening {use}", begin + (end - begin) * next(count) / len(self.uses))
 
     def _drift(self, coarse: Fit, fine: Fit) -> np.ndarray:
         """(P,) how far the optimum may still move below the fine time step.
@@ -348,7 +351,7 @@ class _Run:
         """What to record next, where that is asked for or the rollouts cannot tell."""
         if self.mend or (ruling.verdict != CANNOT_TELL and not self.show):
             return ()
-        self.progress("looking for the motion to record next", 0.95)
+        self.progress("looking for the motion to record next", 0.98)
         motions, timestep = ready_motions(load_rig(self.model.rig), self.replay.measurements), self.settings.coarse
         found: tuple[NextMotion, ...] = ()
         if ruling.verdict == CANNOT_TELL:

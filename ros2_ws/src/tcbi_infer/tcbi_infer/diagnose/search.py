@@ -20,6 +20,7 @@ LEAST_WORTH = 10.0  # nats: who explains less has no rivals to look for
 # of the best candidate's gain over the base model's own fit:
 HOPELESS = 0.2  # one that starts with less on a few sets, in the best one's place or its own, gets no coarse steps
 NO_RIVAL = 1 / 3  # one that gains less with coarse steps gets no fine ones
+LOOKING, COARSE, ESCAPE, FINE = (0.0, 0.16), (0.16, 0.44), (0.44, 0.8), (0.8, 1.0)  # shares of these fits' time
 Fits = dict[int, tuple[Fit, Fit]]  # of a use, by its number: with coarse and with fine steps
 Progress = Callable[[str, float], None]  # stage, share done
 
@@ -74,7 +75,7 @@ class Search:
         if self.settings.escape or not fits:
             return {}
         u = min(fits, key=lambda u: fits[u][0].total)
-        self.progress(f"fitting {self.names[u]} elsewhere", 0.75)
+        self.progress(f"fitting {self.names[u]} elsewhere", 0.95)
         rough, fine = fits[u]
         other = self._escaped(rough)
         found = fine if other is rough else refined(self.problem, other, self.sets, self.settings)
@@ -97,7 +98,7 @@ class Search:
             if name in seen or len(losses) == self.settings.further:
                 continue
             seen.add(name)
-            self.progress(f"looking for {self.names[u]} elsewhere", 0.75)
+            self.progress(f"looking for {self.names[u]} elsewhere", 0.95)
             starts[u] = self._starts(u)
             losses[u] = min(self._losses_on_few(self.screen.directions.models[u], starts[u], none))
         nearest = sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
@@ -148,29 +149,35 @@ class Search:
           shares: of the whole diagnosis done before and after.
           others: fits so far, of other uses; the best of all says who has hope.
         """
-        begin, end = shares
+
+        def told(stage: str, stages: tuple[float, float], share: float) -> None:
+            done = stages[0] + share * (stages[1] - stages[0])
+            self.progress(stage, shares[0] + done * (shares[1] - shares[0]))
+
         least_loss = min((rough.total for rough, _ in (others or {}).values()), default=np.inf)
         starts: dict[int, np.ndarray] = {}
         for i, u in enumerate(uses):
-            self.progress(f"looking where to fit {self.names[u]}", begin + (end - begin) / 2 * i / len(uses))
+            told(f"looking where to fit {self.names[u]}", LOOKING, i / len(uses))
             starts[u] = uses[u] if isinstance(uses, Mapping) else self._starts(u)
         fitted: dict[int, Fit] = {}
         promising = self._promising(starts, others or {})
         for i, u in enumerate(promising):
-            self.progress(f"fitting {self.names[u]}", (begin + end + (end - begin) * i / len(promising)) / 2)
+            told(f"fitting {self.names[u]}", COARSE, i / len(promising))
             fitted[u] = self._fitter(self.screen.directions.models[u]).run(starts[u])
         if self.settings.escape and fitted:
             u = min(fitted, key=lambda u: fitted[u].total)
             if fitted[u].total <= least_loss:
+                told(f"fitting {self.names[u]} in other valleys", ESCAPE, 0.0)
                 fitted[u] = self._escaped(fitted[u])
         gains = {u: self.base_loss - rough.total for u, rough in fitted.items()}
         best = max([self.base_loss - least_loss, *gains.values()])
         least = min(NO_RIVAL * best, best)
-        return {
-            u: (rough, refined(self.problem, rough, self.sets, self.settings))
-            for u, rough in fitted.items()
-            if gains[u] >= least
-        }
+        fine = [u for u in fitted if gains[u] >= least]
+        fits: Fits = {}
+        for i, u in enumerate(fine):
+            told(f"fitting {self.names[u]} with fine steps", FINE, i / len(fine))
+            fits[u] = fitted[u], refined(self.problem, fitted[u], self.sets, self.settings)
+        return fits
 
     def _promising(self, starts: Mapping[int, np.ndarray], others: Fits) -> list[int]:
         """Uses whose (n, P) starts explain enough of a few sets to be fitted to all."""
