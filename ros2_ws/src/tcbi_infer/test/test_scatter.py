@@ -74,7 +74,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         def __init__(self, problem: Any, model: Any, scatter: float, *_: Any) -> None:
             self.scatter = scatter
 
-        def run(self, units: np.ndarray, **_: Any) -> Any:
+        def run(self, units: np.ndarray) -> Any:
             return a_fit(units[0, 0] + (0.8 - units[0, 0]) * 2 / 3, self.scatter)
 
     def scatter_at(problem: Any, fit: Any, *_: Any) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import hadamard
 
-from tcbi_infer.diagnose.fit import RADII, Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import JOINT_GAINS
 from tcbi_sim.rigs import load_rig
@@ -46,7 +46,7 @@ def relinearised(problem: Problem, fit: Fit, sets: np.ndarray, timestep: float) 
         if not (fit.scatter.names and fit.total < np.inf and moved.max() > NEAR):
             break
         scatter = joint_scatter(problem, fit, sets, timestep)
-        fit = Fitter(problem, fit.model, scatter, sets, timestep).run(fit.unit[None], radii=RADII[-1:], valleys=False)
+        fit = Fitter(problem, fit.model, scatter, sets, timestep).run(fit.unit[None])
     return fit
 
 
