@@ -121,7 +121,7 @@ def run_remove(task: Task, emit: Emit) -> None:
 def run_history(task: Task, emit: Emit) -> None:
     """Every version's error, on the rollouts given that no fit has seen."""
     from tcbi_infer.compare.history import history, remember
-    from tcbi_infer.compare.ladder import was_seen
+    from tcbi_infer.compare.ladder import not_seen
     from tcbi_infer.errors import InferError
     from tcbi_infer.report import Report, add_history, file_name
     from tcbi_infer.seen import used_before
@@ -131,7 +131,7 @@ def run_history(task: Task, emit: Emit) -> None:
     rig = measurements[0].rig
     versions = store.history(rig)
     seen = {r for v in versions for r in used_before(v)}
-    unseen = [m for m in measurements if not was_seen(m, seen)]
+    unseen = not_seen(measurements, seen)
     if not unseen:
         raise InferError(
             f"a fit has seen each of the {len(measurements)} rollouts chosen, so no version can be judged on them; "
@@ -147,11 +147,15 @@ def run_history(task: Task, emit: Emit) -> None:
     ]  # fmt: skip
     left = len(measurements) - len(unseen)
     told = f"The error of each version on {len(unseen)} rollouts that no fit has seen."
-    told += f" {left} of the {len(measurements)} chosen do not count, since a fit has seen them." * bool(left)
+    told += (
+        f" {left} of the {len(measurements)} chosen do not count, since a fit has seen them, or repeats of them."
+        * bool(left)
+    )
     report = Report("Model versions", told)
     add_history(report, rows, lines[0].floor_from_replicates)
     report.write(store.folder("reports") / file_name("history", versions[-1].version, lines[0].rollouts))
-    not_counted = [m.rollout_id for m in measurements if was_seen(m, seen)]
+    counted = {m.rollout_id for m in unseen}
+    not_counted = [m.rollout_id for m in measurements if m.rollout_id not in counted]
     path = remember(lines, store.folder("runs"), rig, not_counted)
     emit("result", file=str(path))
 

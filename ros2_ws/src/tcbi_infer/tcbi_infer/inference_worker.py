@@ -20,7 +20,7 @@ from tcbi_infer import posterior
 from tcbi_infer.bags.reader import read_measurements
 from tcbi_infer.compare import compare
 from tcbi_infer.compare.history import common_floor
-from tcbi_infer.compare.ladder import seen_by, was_seen
+from tcbi_infer.compare.ladder import not_seen, seen_by
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import diagnose
@@ -163,11 +163,12 @@ def _unseen(
     """Those that neither version's line of fits has seen: a user may have fitted one to all bags of the folder."""
     models = store.history(versions[0].rig)
     seen = {r for version in versions for r in seen_by(version, models)}
-    known = [m.rollout_id for m in held_out if was_seen(m, seen)]
-    if known:
+    unseen = not_seen(held_out, seen)
+    judged = {m.rollout_id for m in unseen}
+    if known := [m.rollout_id for m in held_out if m.rollout_id not in judged]:
         said = f"{versions[0].version} or the version after it comes from a fit that has seen them"
         emit("warning", message=f"no error is judged on {', '.join(known)}: {said}")
-    return [m for m in held_out if m.rollout_id not in known]
+    return unseen
 
 
 def _judge(versions: tuple[Model, Model], held_out: list[Measurement], emit: Emit) -> None:

@@ -2,20 +2,23 @@
 
 import contextlib
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Hashable
 from pathlib import Path
 
 from tcbi_infer.bags.files import bag_name, bags_in
 from tcbi_infer.bags.glance import Glance, glance
 from tcbi_infer.bags.writer import UNFINISHED
+from tcbi_infer.compare.replicates import SCRIPTED
 
+SLOPE_DIGITS = 4  # of a slope in rad: what the robot was told, the same for each repeat
 QUIET_S = 10.0  # without a change, until a bag that has no metadata counts as finished
 
 
 class RolloutFolder:
     """Bags in order of arrival, those of the newest's source alone; every `holdout_every`-th is only ever judged on.
 
-    What a simulation did yesterday says nothing of the robot that moves today.
+    What a simulation did yesterday says nothing of the robot that moves today. Repeats of a scripted motion stay
+    together: one that is held out while another is fitted would tell nothing new.
     """
 
     def __init__(self, path: Path, holdout_every: int):
@@ -53,7 +56,12 @@ class RolloutFolder:
     @property
     def held_out(self) -> list[Path]:
         """For judging."""
-        return [] if self.holdout_every == 0 else self.bags[self.holdout_every - 1 :: self.holdout_every]
+        if self.holdout_every == 0:
+            return []
+        numbers: dict[Hashable, int] = {}  # of motions, from 1 on
+        for bag in self.bags:
+            numbers.setdefault(_motion(self._seen[bag]), len(numbers) + 1)
+        return [bag for bag in self.bags if numbers[_motion(self._seen[bag])] % self.holdout_every == 0]
 
     @property
     def fitted(self) -> list[Path]:
@@ -64,6 +72,13 @@ class RolloutFolder:
     def holding(self, rollouts: Collection[str]) -> set[Path]:
         """The bags whose rollout, in a bag of several the first, is one of these."""
         return {bag for bag, seen in self._seen.items() if seen.rollout_id in rollouts}
+
+
+def _motion(seen: Glance) -> Hashable:
+    """What repeats of a rollout have in common; a policy with feedback never moves the same way again."""
+    if not seen.policy_id.startswith(SCRIPTED):
+        return seen.path
+    return seen.task, seen.policy_id, round(seen.slope_roll, SLOPE_DIGITS), round(seen.slope_pitch, SLOPE_DIGITS)
 
 
 def _finished(bag: Path) -> bool:

@@ -47,6 +47,17 @@ def test_every_third_bag_is_held_out_for_good(bags: Path) -> None:
     assert len(folder.fitted) == 4 and not set(folder.fitted) & set(folder.held_out)
 
 
+def test_repeats_of_a_scripted_motion_are_held_out_together(tmp_path: Path) -> None:
+    for i, (policy, roll) in enumerate((g, r) for g in ("gait:steps", "balance") for r in (0.1, 0.2) for _ in range(2)):
+        measured = bench_rollouts(count=1, duration=1.0)[1][0]
+        scenario = dataclasses.replace(measured.scenario, slope_roll=roll)
+        own = dataclasses.replace(measured, rollout_id=f"r{i}", policy_id=policy, scenario=scenario)
+        os.utime(write_measurement(tmp_path, own), (1000 + i, 1000 + i))
+    folder = RolloutFolder(tmp_path, holdout_every=2)
+    folder.look()
+    assert [b.name for b in folder.held_out] == ["r2", "r3", "r5", "r7"]  # a policy never moves the same way again
+
+
 def test_a_folder_without_bags_is_waited_for(tmp_path: Path) -> None:
     assert RolloutFolder(tmp_path / "later", 5).look() == 0
     (tmp_path / "empty").mkdir()

@@ -15,6 +15,7 @@ from tcbi_infer.diagnose import diagnose
 from tcbi_infer.diagnose import scatter as module
 from tcbi_infer.diagnose.adopt import adopt
 from tcbi_infer.diagnose.fit import Fitter, Nuisance
+from tcbi_infer.diagnose.least_squares import bounded_step
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_gains, joint_scatter, relinearised, slopes
 from tcbi_infer.diagnose.screen import Screen, simulate_directions
@@ -126,5 +127,8 @@ def test_one_servo_that_is_much_softer_is_found_beside_the_scatter():
     base = fitter.run(start.unit[None], radii=(0.08,))
     uses = (odd, "gain_scatter:lm_tibia", "weak_leg:rf")
     screen = Screen(problem, base, simulate_directions(problem, base, uses, sets, 0.005), sets)
-    found, other, leg = screen.held_out(screen.targets(base.residual[None]))[:, :, 0].sum(axis=0)
+    _, _, refitted, _ = screen.solve(screen.data, sets)
+    step = bounded_step(base.normal.sum(axis=0), base.slope.sum(axis=0), base.unit, base.nuisance)
+    assert refitted[:, 0] == pytest.approx(step + np.r_[np.zeros(3), base.nuisance], abs=1e-3)
+    found, other, leg = screen.held_out(screen.data)[:, :, 0].sum(axis=0)
     assert found > 1.2 * max(leg, other) and found > 20.0  # nats; with the slopes of a small change -98 beside 62

@@ -79,6 +79,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(search, "refined", fine)
         screen = SimpleNamespace(
             sizes=np.ones(5, int),
+            data=None,
             directions=SimpleNamespace(uses=tuple(losses), models=tuple(losses)),
             sized=lambda data, use, sizes, count: np.array(sizes)[:, None],
         )
@@ -88,7 +89,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Any:
         settings: Any = Settings()
         sets: Any = np.array([0])
         problem: Any = None
-        made = Search(problem, base, BASE_LOSS, screen, problem, gains, sets, settings, quiet)  # type: ignore[arg-type]
+        made = Search(problem, base, BASE_LOSS, screen, gains, sets, settings, quiet)  # type: ignore[arg-type]
         return made, Fake.calls
 
     return make

@@ -75,7 +75,7 @@ def test_an_effect_that_shows_in_the_body_rates_alone_is_named_by_their_error():
     sensor = evidence("gyro_bias", before=1.1, after=1.1, elsewhere=RATES)
     ruling = ruled(sensor, base_error=1.1)
     assert (ruling.verdict, ruling.uses) == (EFFECT, ("gyro_bias",))
-    falls = "the error of angular velocity on motions not used for the fit falls from 2.4 to 1.2 times the noise floor."
+    falls = "the error of angular velocity on motions that no fit has seen falls from 2.4 to 1.2 times the noise floor."
     assert falls in ruling.statement and "That of joints and attitude stays at 1.1." in ruling.statement
     fell = ruled(dataclasses.replace(sensor, error_after=0.9), base_error=1.1).statement
     assert "falls from 1.1 to 0.9" in fell and "stays" not in fell

@@ -1,6 +1,7 @@
 """Two versions of a model side by side, and a version that an effect was removed from."""
 
 import dataclasses
+import zlib
 
 import numpy as np
 import pytest
@@ -109,12 +110,17 @@ def test_an_effect_added_by_its_prior_is_drawn():
 
 
 def recorded(*names: str) -> list[Measurement]:
-    """A ramp of the bench under several names."""
+    """Ramps of the bench, of each name another."""
+    return [ramp(name, 0.5 + zlib.crc32(name.encode()) % 100 / 100) for name in names]
+
+
+def ramp(name: str, end: float) -> Measurement:
+    """A ramp of the bench up to `end` (rad)."""
     base = base_model("servo_bench")
     values = np.array([[p.nominal for p in base.parameters]])
-    commands = Commands(np.arange(10) * 0.1, np.linspace(0, 1, 10)[:, None])
+    commands = Commands(np.arange(10) * 0.1, np.linspace(0, end, 10)[:, None])
     out = simulate(base, values, [Scenario("log", 1.0, settle=0.0)], commands=[commands])
-    return [dataclasses.replace(out.measurement(0), rollout_id=name, commands=commands) for name in names]
+    return dataclasses.replace(out.measurement(0), rollout_id=name, commands=commands)
 
 
 def fitted_to(*names: str, version: str = "servo_bench-v1") -> Model:
@@ -125,6 +131,12 @@ def fitted_to(*names: str, version: str = "servo_bench-v1") -> Model:
 def test_rollouts_of_an_inference_count_as_seen_in_the_history():
     lines = history([base_model("servo_bench"), fitted_to("seen")], recorded("seen", "new"))
     assert {line.rollouts for line in lines} == {("new",)}
+
+
+def test_a_repeat_of_a_rollout_that_a_fit_has_seen_is_no_unseen_one():
+    given = [ramp("seen", 1.0), ramp("again", 1.0), ramp("new", 0.7)]
+    assert history([fitted_to("seen")], given)[0].rollouts == ("new",)
+    assert history([fitted_to("elsewhere")], given)[0].rollouts == ("seen", "again", "new")
 
 
 def test_pieces_of_a_recording_that_a_fit_has_seen_whole_are_seen():

@@ -45,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     if measurements and not lines[0].rollouts:
         console.note("all of these rollouts were used in a fit; the figures are those kept with the versions")
     elif left_out := len(measurements) - len(lines[0].rollouts if measurements else ()):
-        console.note(f"{left_out} of {len(measurements)} rollouts left out: seen by a fit, or without commands")
+        why = "seen by a fit, repeats of one that was, or without commands"
+        console.note(f"{left_out} of {len(measurements)} rollouts left out: {why}")
     nan = float("nan")
     rows = [
         (

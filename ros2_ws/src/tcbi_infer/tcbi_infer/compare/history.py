@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tcbi_contract.plain import plain
 from tcbi_infer.compare.comparison import error_figure
-from tcbi_infer.compare.ladder import seen_by, was_seen
+from tcbi_infer.compare.ladder import not_seen, seen_by
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.scorer import diverged
@@ -41,11 +41,11 @@ def history(models: Sequence[Model], measurements: Sequence[Measurement] = ()) -
     """The error of each version.
 
     With measurements every version is compared on the same rollouts, over the same floor: those that no version was
-    fitted to. Without, the figures are those that the diagnoses kept: of the versions they made, and of the versions
-    they began with, unless one of those had been fitted to the same rollouts.
+    fitted to, and that repeat none that one was. Without, the figures are those that the diagnoses kept: of the
+    versions they made, and of the versions they began with, unless one of those had been fitted to the same rollouts.
     """
     seen = {r for m in models for r in used_before(m)}
-    unseen = [m for m in measurements if not was_seen(m, seen)]
+    unseen = not_seen(measurements, seen)
     if not unseen:
         kept = [_kept(m, models) for m in models]
         return [

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from tcbi_infer.compare.comparison import Comparison, error_figure
+from tcbi_infer.compare.replicates import repeats
 from tcbi_infer.seen import used_before
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -46,6 +47,13 @@ def was_seen(m: Measurement, seen: Collection[str]) -> bool:
     """Whether a rollout is among those seen, or is a piece of one that was seen whole."""
     piece = m.scenario.initial_joint_velocity is not None
     return m.rollout_id in seen or (piece and PIECE.sub("", m.rollout_id) in seen)
+
+
+def not_seen(measurements: Sequence[Measurement], seen: Collection[str]) -> list[Measurement]:
+    """Rollouts that are not among those seen and repeat none of them, as far as these are among `measurements`."""
+    known = {i for i, m in enumerate(measurements) if was_seen(m, seen)}
+    known |= {i for group in repeats(measurements) if known & set(group) for i in group}
+    return [m for i, m in enumerate(measurements) if i not in known]
 
 
 def ladder(

@@ -43,7 +43,7 @@ class Replicates:
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """Replicate sets by use: `folds` are held out in turn, `sealed` is opened once, for the figure at the end."""
+    """Replicate sets by use: `folds` are held out in turn, `sealed` is kept from fits and searches, for the verdict."""
 
     folds: tuple[tuple[int, ...], ...]
     sealed: tuple[int, ...]
@@ -135,8 +135,8 @@ def nearly_repeats(a: Measurement, b: Measurement) -> str:
     return ", ".join(said)
 
 
-def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
-    """Groups rollouts into replicate sets, in the order of their first member."""
+def repeats(measurements: Sequence[Measurement]) -> list[list[int]]:
+    """Which rollouts were asked for the same thing, as positions, in the order of their first member."""
     groups: list[list[int]] = []
     for i, m in enumerate(measurements):
         torque = by_torque(m)
@@ -148,6 +148,12 @@ def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
                 break
         else:
             groups.append([i])
+    return groups
+
+
+def find_replicates(measurements: Sequence[Measurement]) -> list[Replicates]:
+    """Groups rollouts into replicate sets, in the order of their first member."""
+    groups = repeats(measurements)
     labels = [_label(measurements[g[0]]) for g in groups]
     distinct = list(dict.fromkeys(labels))
     by_shape = _kinds_by_shape(measurements, groups)

@@ -131,14 +131,13 @@ class _Run:
         self.problem = Problem.of(self.replay, self.floor.values)
 
     def _without_diverging(self, at_mean: np.ndarray) -> tuple[Split, tuple[str, ...]]:
-        """Which sets are open and which sealed, and a guard on the open ones left out: wherever a fit could start, they
-        diverge.
+        """Which sets are open and which sealed, and a guard on those that diverge wherever a fit could start.
 
         Args:
           at_mean: (S,) which diverge at the model's mean.
         """
         whole = split(self.replay.replicates, self.settings.seed, self.settings.sealed_share)
-        doubtful = [s for s in whole.open if at_mean[s]]
+        doubtful = [s for s in (*whole.open, *whole.sealed) if at_mean[s]]
         if not doubtful:
             return whole, ()
         starts = self.model.from_unit(base_starts(self.model))
@@ -156,7 +155,8 @@ class _Run:
                 f"({who}); begin nearer to the robot (./tcbi infer makes such a version), or record calmer motions"
             )
         told = f"The model's simulation diverges wherever its fit could start: that counts for nothing here ({who})."
-        return Split(tuple(fold for fold in folds if fold), whole.sealed), (told,)
+        sealed = tuple(s for s in whole.sealed if s not in lost)
+        return Split(tuple(fold for fold in folds if fold), sealed), (told,)
 
     def go(self) -> Diagnosis:
         """All stages in order."""
@@ -182,9 +182,8 @@ class _Run:
         if not directions.uses:
             return _Found(coarse, base, judge, before, directions)
         screen = Screen(self.problem, base, directions, self.sets)
-        data = screen.targets(base.residual[None])
-        gains = screen.held_out(data)[:, :, 0]
-        search = Search(self.problem, base, coarse.total, screen, data, gains, self.sets, self.settings, self.progress)
+        gains = screen.held_out(screen.data)[:, :, 0]
+        search = Search(self.problem, base, coarse.total, screen, gains, self.sets, self.settings, self.progress)
         fits = search.fit(search.best_by_screening(), FITS)
         fits |= search.fit(search.rivals(fits), RIVALS, fits)
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}

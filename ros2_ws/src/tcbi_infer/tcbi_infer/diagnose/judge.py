@@ -62,7 +62,7 @@ class Judge:
 
     @property
     def sealed(self) -> list[Measurement]:
-        """The rollouts that no fit and no choice has seen."""
+        """The rollouts that no fit and no search has seen: the verdict alone looks at them."""
         return [self.replay.measurements[m] for s in self.split.sealed for m in self.replay.replicates[s].members]
 
     def judge(self, fit: Fit) -> Judged:

@@ -225,7 +225,12 @@ class Targets:
 
 
 class Screen:
-    """One-step, cross-validated score of every direction, for the data and for simulated null data."""
+    """One-step, cross-validated score of every direction, for the data and for simulated null data.
+
+    Attributes:
+      data: of the measurements: what the base fit leaves, its nuisances put back, for their prior is centred on none of
+        them, here as in null data; with D = 1.
+    """
 
     def __init__(self, problem: Problem, base: Fit, directions: Directions, sets: np.ndarray) -> None:
         self.sets = np.asarray(sets, int)
@@ -249,6 +254,7 @@ class Screen:
         kinds = problem.kind[self.sets]
         self.folds = [np.nonzero(kinds == k)[0] for k in dict.fromkeys(kinds)]
         self.sizes = np.array([len(fold) for fold in self.folds])
+        self.data = self.targets((base.residual + base.scatter.effect[self.sets] @ base.nuisance)[None])
 
     def targets(self, residuals: np.ndarray) -> Targets:
         """Inner products of (D, S, T, C) residuals with all directions."""

@@ -9,7 +9,7 @@ from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import relinearised
-from tcbi_infer.diagnose.screen import Screen, Targets
+from tcbi_infer.diagnose.screen import Screen
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.diagnose.starts import start_points
 from tcbi_sim.model import Model
@@ -31,7 +31,6 @@ class Search:
 
     Attributes:
       base: the base model's fit with fine steps; `base_loss` that with coarse ones.
-      data: targets of the base fit's residual.
       gains: (F, U) of each use in each kind of motion, by screening.
       sets: the open ones.
     """
@@ -40,7 +39,6 @@ class Search:
     base: Fit
     base_loss: float
     screen: Screen
-    data: Targets
     gains: np.ndarray
     sets: np.ndarray
     settings: Settings
@@ -130,7 +128,7 @@ class Search:
         for u, model in enumerate(self.screen.directions.models):
             if u in fits or (":" in self.names[u] and not anywhere) or self.names[u] in scatter:
                 continue
-            sizes = self.screen.sized(self.data, u, RIVAL_SIZES, 1)
+            sizes = self.screen.sized(self.screen.data, u, RIVAL_SIZES, 1)
             starts = np.concatenate([np.repeat(known[None], len(sizes), axis=0), sizes], axis=1)
             losses = self._losses_on_few(model, starts, best.nuisance, best.scatter)
             i = int(np.argmin(losses))
@@ -210,14 +208,14 @@ class Search:
             self.names[a]: tuple(
                 self.names[b]
                 for b in uses
-                if b != a and abs(self.screen.likeness(a, b, self.data)) > self.settings.likeness
+                if b != a and abs(self.screen.likeness(a, b, self.screen.data)) > self.settings.likeness
             )
             for a in uses
         }
 
     def _starts(self, use: int) -> np.ndarray:
         fitter = self._fitter(self.screen.directions.models[use])
-        return start_points(self.screen, self.data, use, self.base, fitter)
+        return start_points(self.screen, self.screen.data, use, self.base, fitter)
 
     def _fitter(self, model: Model, scatter: Nuisance | None = None) -> Fitter:
         """Of a model, with the base model's scatter unless another is given."""

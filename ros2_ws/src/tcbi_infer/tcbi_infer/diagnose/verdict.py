@@ -63,6 +63,8 @@ def accept(evidence: Evidence, threshold: float, unfitted: float) -> tuple[bool,
         return False, "its size may be zero"
     if not evidence.converged:
         return False, "its fit did not converge"
+    if not np.isfinite(evidence.error_after):
+        return False, f"its fit diverges {_where(evidence)}"
     if not _lowered(evidence.error_before, evidence.error_after) and not shows_in(evidence):
         contradicted = evidence.held_out and _lowered(*evidence.held_out)
         return False, CONTRADICTED if contradicted else "it hardly lowers the error"
@@ -232,9 +234,14 @@ def _ruled(
     return Ruling(
         EFFECT,
         (best.use,),
-        f"The model lacks {best.use}: with it the error{of} on motions not used for the fit falls from "
+        f"The model lacks {best.use}: with it the error{of} {_where(best)} falls from "
         f"{before:.1f} to {after:.1f} times the noise floor.{stays}{still}{caveat}",
     )
+
+
+def _where(e: Evidence) -> str:
+    """Of which motions its errors are: sealed ones or, where none are, those held out in turn."""
+    return IN_TURN if e.held_out == (e.error_before, e.error_after) else "on motions that no fit has seen"
 
 
 def _explained(e: Evidence, unfitted: float = np.inf) -> float:
