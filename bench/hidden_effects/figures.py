@@ -13,7 +13,7 @@ from tcbi_bringup.commands.bench import figure
 from tcbi_bringup.emulated_robot.hidden_names import NONE, STRENGTHS, parts
 
 Figure = dict[str, Any]
-FIRST = {"strong": 0.95, "weak": 0.85}  # true effect named
+FIRST = {"strong": 0.95, "weak": 0.85}  # true effect ranked first
 FIRST_OR_UNSURE, FALSE_ALARMS, PAIRS, OUTSIDE = 0.97, 0.05, 0.70, 0.90
 ERROR_AFTER, DIAGNOSIS_S, MEMORY_MIB, COVERAGE = 1.2, 60.0, 2048.0, (0.85, 0.95)
 SURE = 0.95  # of a one-sided limit

@@ -14,7 +14,6 @@ SHAPES = {
     mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
     mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
 }
-TRUNK = "base_link"
 
 
 def skeleton(rig: Rig) -> dict[str, Any]:

@@ -16,7 +16,6 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {"rad": 1.0, "deg": math.pi / 180, "turn": 2 * math.pi, "N m": 1.0}
 TOP = {"rig", "joints", "task", "source", "policy", "entries", "window", "constants"}
 TOP |= {"time", "position", "command", "torque_on", "readings"}
-READING = {"column", "file", "time", "scale"}
 SIGNAL = {"column", "columns", "file", "time", "unit", "scale", "offset", "list", "pick"}
 
 

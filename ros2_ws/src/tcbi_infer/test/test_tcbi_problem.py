@@ -155,9 +155,13 @@ def test_two_processes_keep_the_same_inference_under_temporary_names_of_their_ow
     assert len(written) == 6 and all(str(os.getpid()) in path.name for path in written)
 
 
-def test_a_damaged_state_is_not_used(tmp_path: Path) -> None:
-    (tmp_path / "state.npz").write_bytes(b"PK\x03\x04 cut off")
-    assert checkpoint.load(tmp_path / "state.npz", METHODS["paper"].state_type) is None
+def test_a_damaged_state_is_not_used_and_that_is_told(problem: Problem, tmp_path: Path) -> None:
+    infer(problem, "paper", folder=tmp_path, **SMALL)
+    (state,) = tmp_path.rglob("state.npz")
+    state.write_bytes(b"PK\x03\x04 cut off")
+    assert checkpoint.load(state, METHODS["paper"].state_type) is None
+    again = infer(problem, "paper", folder=tmp_path, **SMALL)
+    assert any("cannot be read: the inference started over" in line for line in again.warnings)
 
 
 def test_the_posterior_opens_in_arviz_and_becomes_a_model_version(result: Result, tmp_path: Path) -> None:

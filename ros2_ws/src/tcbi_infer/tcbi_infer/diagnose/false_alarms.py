@@ -33,11 +33,13 @@ def false_alarms(null: Null) -> FalseAlarms:
     low, high = float(interval.low), float(interval.high)
     few = _FEW.format(kinds=null.kinds, level=_percent(1 - level(null.kinds))) if level(null.kinds) < LEVEL else ""
     return FalseAlarms(
-        f"False alarms: in {passed} of {count} simulated data sets of this robot with nothing missing the whole search "
-        f"passed the threshold (that of the other half of them, about {null.threshold:.1f} standard errors), "
-        f"{_percent(rate)} (90 % interval {_percent(low)} to {_percent(high)}). What else is required of an effect can "
-        "only lower how often one is named; what these simulations do not hold may raise it. That something may be "
-        "missing, or is not in the library, rests on limits of the error, whose false alarms this does not count."
+        f"False alarms: in {passed} of {count} simulated data sets of this robot with nothing missing the search, "
+        "one linear step for every candidate, passed the threshold (that of the other half of them, about "
+        f"{null.threshold:.1f} standard errors), {_percent(rate)} (90 % interval {_percent(low)} to {_percent(high)}). "
+        "What else is required of an effect can only lower how often one is named. The full fits, which judge the "
+        "candidates, can gain more than that step, and what these simulations do not hold may raise it, too. That "
+        "something may be missing, or is not in the library, rests on limits of the error, whose false alarms this "
+        "does not count."
         f"{few}",
         count,
         rate,

@@ -17,7 +17,7 @@ from tcbi_infer.diagnose.fit import Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.screen import Screen, Targets
 
-DRAWS = 300
+DRAWS = 300  # data sets at least
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,14 +49,13 @@ def threshold_of(maxima: np.ndarray, kinds: int) -> float:
     return max(float(np.quantile(maxima, paired.level(kinds))), paired.limit(kinds))
 
 
-def sign_patterns(kinds: int, draws: int, rng: np.random.Generator) -> np.ndarray:
-    """(draws, kinds) random signs; each pattern as often as any other where there are no more of them than draws, so
-    that no threshold hangs on how often one was drawn."""
-    if 2**kinds > draws:
-        return rng.choice([-1.0, 1.0], size=(draws, kinds))
+def sign_patterns(kinds: int, least: int, rng: np.random.Generator) -> np.ndarray:
+    """(D, kinds) random signs, `least` of them or more: each pattern as often as any other where there are no more of
+    them than that, so that no threshold hangs on how often one was drawn."""
+    if 2**kinds > least:
+        return rng.choice([-1.0, 1.0], size=(least, kinds))
     every = np.array(list(itertools.product((-1.0, 1.0), repeat=kinds)))
-    order = [rng.permutation(len(every)) for _ in range(-(-draws // len(every)))]
-    return every[np.concatenate(order)[:draws]]
+    return every[np.concatenate([rng.permutation(len(every)) for _ in range(-(-least // len(every)))])]
 
 
 def noise_draws(problem: Problem, sets: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
@@ -95,7 +94,7 @@ def simulate_null(
     leftover: np.ndarray,
     sets: np.ndarray,
     rng: np.random.Generator,
-    draws: int = DRAWS,
+    least: int = DRAWS,
 ) -> Null:
     """Runs the one-step search on data sets with nothing missing.
 
@@ -106,10 +105,11 @@ def simulate_null(
       leftover: (open sets, T, C) residual of the best candidate.
       sets: the open sets.
       rng: of the draws.
-      draws: number of null data sets.
+      least: number of null data sets, a few more where patterns of signs ask for it.
     """
     numbers, kinds = np.unique(problem.kind[sets], return_inverse=True)
-    patterns = sign_patterns(len(numbers), draws, rng)
+    patterns = sign_patterns(len(numbers), least, rng)
+    draws = len(patterns)
     maxima: list[float] = []
     parts: list[Targets] = []
     scales: list[np.ndarray] = []

@@ -36,6 +36,8 @@ from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.ray_workers import versions
 
 LEAST_PARTICLES = 10  # a generation; from fewer no spread can be told
+RESUMED = "resumed from a state that an earlier run left"
+UNREADABLE = "what an earlier run left cannot be read: the inference started over"
 BOUNDS: dict[str, tuple[float, float]] = {  # of a method's settings; of others: 0 or more, of whole numbers 1 or more
     "particles": (LEAST_PARTICLES, math.inf),
     "least_temperature": (1e-6, math.inf),
@@ -192,21 +194,24 @@ class _Loop:
         self.real, self.statistics = method.observe(problem), method.labels(problem)
         self.dimensions = len(problem.model.names)
         self.known = None if problem.prior is None else problem.prior.draws()
-        self.state, self.history, self.resumed = self._begin()
+        self.state, self.history, self.began_with = self._begin()
         self.last = Generation(np.nan, np.nan, np.zeros(len(self.statistics)), {})
         self.begun = time.monotonic()
         self.here = 0  # generations run by this process
         self.simulated = self.diverged = 0  # particles of this generation
 
-    def _begin(self) -> tuple[Any, list[dict[str, Any]], bool]:
+    def _begin(self) -> tuple[Any, list[dict[str, Any]], str]:
+        """The state, the generations before it, and a sentence on what an earlier run left; "" if that was nothing."""
+        left = ""
         if self.place is not None:
             self.place.mkdir(parents=True, exist_ok=True)
             state = checkpoint.load(self.place / "state.npz", self.method.state_type)
             history = self._read_history()
             if state is not None and len(history) >= state.generation:  # killed between the two files: one longer
-                return state, history[: state.generation], state.generation > 0
+                return state, history[: state.generation], RESUMED if state.generation > 0 else ""
+            left = UNREADABLE if (self.place / "state.npz").exists() else ""
         rng = np.random.default_rng([self.seed, 0])
-        return self.method.init(rng, self.dimensions, self.real, self.settings), [], False
+        return self.method.init(rng, self.dimensions, self.real, self.settings), [], left
 
     def _read_history(self) -> list[dict[str, Any]]:
         assert self.place is not None
@@ -329,14 +334,14 @@ class _Loop:
                 f"{diverged} of {particles} particles diverged in a rollout and weigh nothing: the model is "
                 "unstable there, or the time step too long (--timestep)"
             )
-        resumed = ["resumed from a state that an earlier run left"] if self.resumed else []
+        begun = [self.began_with] if self.began_with else []
         simulated = (self.method.simulations(self.state, self.settings) + seen.particles) * len(problem.rollout_ids)
         seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,
             found, _distinct(unit, np.exp(log_weights)),
             simulated, seconds, tuple(history), bool(self.state.converged), problem.closed_loop,
-            (*problem.warnings, *resumed, *lines), self.known, fits,
+            (*problem.warnings, *begun, *lines), self.known, fits,
             None if self.place is None else self.place / "state.npz", self._how(),
         )  # fmt: skip
 
