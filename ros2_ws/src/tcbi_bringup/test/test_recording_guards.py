@@ -12,7 +12,7 @@ from tcbi_infer.compare.clocks import Following, aligned
 from tcbi_infer.compare.common_lag import common_lag
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard, to_mend
-from tcbi_infer.compare.signals import Layout
+from tcbi_infer.compare.signals import Layout, reference
 from tcbi_policy.gaits import Gait
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import base_model
@@ -75,6 +75,15 @@ def echo(m: Measurement, joints: slice = slice(None)) -> Measurement:
     return with_joints(m, copy)
 
 
+def ramped_echo(m: Measurement) -> Measurement:
+    """The commands' ramps as a 12-bit encoder would read them, a few milliseconds late."""
+    step = 2 * np.pi / 4096
+    return with_joints(m, np.round(reference(m, m.time - 0.0073) / step) * step)
+
+
+BY_TYPE = np.arange(18).reshape(6, 3).T.ravel()  # all coxas first, then femurs, then tibias
+
+
 def scaled(m: Measurement, by: float) -> Measurement:
     """Positions and commands alike in another unit."""
     commands = dataclasses.replace(m.commands, target=by * m.commands.target)
@@ -103,6 +112,10 @@ FAULTS = {
         lambda m: dataclasses.replace(m, time=m.time - 0.018 * (np.arange(len(m.time)) % 3)), "but delivers"),
     "mirrored joint": (lambda m: with_joints(m, m.joint_position * SIGN), "lm_femur moves against its command"),
     "swapped joints": (lambda m: swapped(m, 0, 8), "lf_coxa and lr_tibia follow each other's commands"),
+    "joints in another order": (
+        lambda m: with_joints(m, m.joint_position[:, BY_TYPE]), "their columns may stand in another order"),
+    "all signs": (lambda m: with_joints(m, -m.joint_position), "18 joints move against their commands"),
+    "echo of ramps": (ramped_echo, "identical to the commands"),
     "encoder counts": (lambda m: with_joints(m, 2048 + m.joint_position * 651.9), "raw encoder counts"),
     "centred encoder counts": (lambda m: with_joints(m, m.joint_position * 651.9), "raw encoder counts"),
     "commands and positions in degrees": (lambda m: scaled(m, np.degrees(1.0)), "another unit than radians"),
@@ -166,7 +179,19 @@ def test_a_planted_fault_is_named(clean, fault):
     assert any(words in finding for finding in findings), findings
 
 
-@pytest.mark.parametrize("fault", ["mirrored joint", "swapped joints", "degrees", "centred encoder counts", "echo"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "mirrored joint",
+        "swapped joints",
+        "joints in another order",
+        "all signs",
+        "degrees",
+        "centred encoder counts",
+        "echo",
+        "echo of ramps",
+    ],
+)
 def test_physics_is_not_fitted_to_wrong_wiring_or_units(clean, fault):
     plant, words = FAULTS[fault]
     assert words in to_mend([plant(m) for m in clean])[0]

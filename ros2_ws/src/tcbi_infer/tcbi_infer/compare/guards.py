@@ -45,28 +45,39 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
     followings = [Following(m) for m in measurements]
     rate = clock_rate(followings)
     clocks, odd = aligned(measurements, followings).findings, _uneven_repeats(measurements)
-    near = _no_repeats(measurements)
+    near, wired = _no_repeats(measurements), _wired(measurements, followings)
     findings = [
-        [*m.notes, *check_recording(m, following), *_rate(rate), *itertools.chain(*others)]
-        for m, following, *others in zip(measurements, followings, clocks, odd, near, strict=True)
+        [*m.notes, *_check(m, following), *_rate(rate), *itertools.chain(*others)]
+        for m, following, *others in zip(measurements, followings, wired, clocks, odd, near, strict=True)
     ]
     sentences = [_sentence(finding, who, measurements) for finding, who in _by_finding(findings).items()]
     return sentences + _sources(measurements) + _copies(measurements)
 
 
 def to_mend(measurements: Sequence[Measurement]) -> list[str]:
-    """Findings of wrong wiring, units or commands that most rollouts share, and to which no physics must be fitted.
-
-    Joints that reach their limits follow each other here and there; joints that are swapped do so everywhere.
-    """
+    """Findings to which no physics must be fitted: wrong units or commands that most rollouts share, and joints that
+    all rollouts together show to be wired wrongly."""
+    ordered = [(m, Following(m)) for m in measurements if _ordered(m)]
     findings = []
-    for m in measurements:
-        following = Following(m) if _ordered(m) else None
-        found = [] if following is None else [*units(m, following), *echo(m, following), *wiring(m, following)]
+    for m, following in ordered:
+        found = [*units(m, following), *echo(m, following)]
         findings.append([(re.sub(r"\d+", "", finding), finding) for finding in found])
     shared = Counter(kind for own in findings for kind in dict(own))
-    often = [[finding for kind, finding in own if shared[kind] > len(measurements) / 2] for own in findings]
-    return [_sentence(finding, who, measurements) for finding, who in _by_finding(often).items()]
+    wired = wiring(*zip(*ordered, strict=True)) if ordered else []
+    often = [[*(finding for kind, finding in own if shared[kind] > len(measurements) / 2), *wired] for own in findings]
+    sound = [m for m, _ in ordered]
+    return [_sentence(finding, who, sound) for finding, who in _by_finding(often).items()]
+
+
+def _wired(measurements: Sequence[Measurement], followings: Sequence[Following]) -> list[list[str]]:
+    """Of each recording, the joints that are wired wrongly: in all of them together or, if none is, in it alone."""
+    ordered = [_ordered(m) for m in measurements]
+    pairs = [(m, f) for m, f, sound in zip(measurements, followings, ordered, strict=True) if sound]
+    shared = wiring(*zip(*pairs, strict=True)) if pairs else []
+    return [
+        shared or (wiring([m], [f]) if sound else [])
+        for m, f, sound in zip(measurements, followings, ordered, strict=True)
+    ]
 
 
 def _by_finding(findings: Sequence[Sequence[str]]) -> dict[str, list[int]]:
@@ -164,19 +175,23 @@ def _no_repeats(measurements: Sequence[Measurement]) -> list[list[str]]:
 
 def check_recording(m: Measurement, following: Following | None = None) -> list[str]:
     """Findings about one recording, without any model; what `aligned` takes out is its to tell."""
+    following = following or Following(m)
+    return _check(m, following) + (wiring([m], [following]) if _ordered(m) else [])
+
+
+def _check(m: Measurement, following: Following) -> list[str]:
+    """All but the wiring; in another unit every reading looks broken."""
     clock = _clock(m)
     if not _ordered(m):
         return clock
-    following = following or Following(m)
+    wrong = units(m, following)
     return [
         *clock,
+        *wrong,
         *unusable(m, m.time).sentences,
         *_held(m),
-        *_spikes(m),
-        *_frozen(m),
-        *units(m, following),
+        *([] if wrong else [*_spikes(m), *_frozen(m)]),
         *echo(m, following),
-        *wiring(m, following),
         *_lag(following),
         *check_imu(m),
     ]

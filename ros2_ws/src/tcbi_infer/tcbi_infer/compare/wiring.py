@@ -1,9 +1,9 @@
 """Whether positions are what a rig's joints can do when asked: their unit, sign, and whose command they follow."""
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from tcbi_infer.compare.clocks import MOVES, Following, correlation
 from tcbi_infer.compare.replicates import by_torque
@@ -13,10 +13,13 @@ from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig, rig_names
 
 SWAPPED = 0.7  # correlation of a joint with the command that it is said to follow; less comes about by chance
+APART = 0.3  # by which that must be more than with its own
+FEW, SHOWN = 3, 6  # findings of one sort that are told each; joints shown of many
 MIRRORED = -0.6  # correlation of a joint with its own command
+SERVO_LAGS = (0.05, 0.1, 0.15)  # s
 LEAST_WIRING = 1.0  # s of motion that wiring is judged by
 SAME = 1e-3  # rad within which positions only echo commands; no servo tracks a moving command so closely
-ECHO_LAGS = np.arange(0.0, 0.105, 0.005)  # s
+ECHO_LAGS, CLOSER = np.arange(0.0, 0.105, 0.005), np.arange(-0.004, 0.0045, 0.001)  # s
 UNITS = {180 / np.pi: "degrees", 4096 / (2 * np.pi): "raw encoder counts", 1023 / np.radians(300): "raw encoder counts"}
 STANDS = 0.2  # rad from zero, from which the sign of a joint that stands is seen
 OPPOSITE = 0.25  # of a command, that a joint at the opposite of it may be off
@@ -74,12 +77,9 @@ def echo(m: Measurement, following: Following) -> list[str]:
     if not following.told:
         return []
     seen = m.joint_position[:, following.joints]
-    best = np.full(len(following.joints), np.inf)
-    for lag in (lag for lag in ECHO_LAGS if following.known(lag).any()):
-        known = following.known(lag)
-        held = m.commands.target[np.clip(np.searchsorted(m.commands.time, m.time - lag + 1e-6) - 1, 0, None)]
-        for asked in (following.asked(lag), held[:, following.joints]):
-            best = np.minimum(best, np.quantile(np.abs(asked - seen)[known], 0.9, axis=0))
+    rough = _off(m, following, seen, ECHO_LAGS)
+    near = ECHO_LAGS[int(np.argmin(np.median(rough, axis=1)))] + CLOSER
+    best = np.min([*rough, *_off(m, following, seen, near[near >= 0])], axis=0)
     echoes = [m.joint_names[j] for j, far in zip(following.joints, best, strict=True) if far < SAME]
     if not echoes:
         return []
@@ -88,30 +88,91 @@ def echo(m: Measurement, following: Following) -> list[str]:
     return [f"The positions of {', '.join(echoes)} are identical to their commands: these joints are not measured"]
 
 
-def wiring(m: Measurement, following: Following) -> list[str]:
-    """Mirrored joints move or stand against their command; swapped ones follow each other's."""
-    if not following.told or following.seconds() < LEAST_WIRING:
+def _off(m: Measurement, following: Following, seen: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    """(L, moving joints) rad by which positions differ from the commands of (L,) s ago, as ramps or as steps."""
+    ramps = reference(m, np.concatenate([m.time - lag for lag in lags]))[:, following.joints]
+    off = np.full((len(lags), len(following.joints)), np.inf)
+    for k, (lag, ramp) in enumerate(zip(lags, np.split(ramps, len(lags)), strict=True)):
+        known = following.known(lag)
+        held = m.commands.target[np.clip(np.searchsorted(m.commands.time, m.time - lag + 1e-6) - 1, 0, None)]
+        for asked in (ramp, held[:, following.joints]) if known.any() else ():
+            off[k] = np.minimum(off[k], np.quantile(np.abs(asked - seen)[known], 0.9, axis=0))
+    return off
+
+
+def wiring(measurements: Sequence[Measurement], followings: Sequence[Following]) -> list[str]:
+    """Mirrored joints move or stand against their command; swapped ones follow each other's. All rollouts together: one
+    motion tells some joints apart, the next one others."""
+    groups: dict[tuple[str, ...], list[tuple[Measurement, Following]]] = {}
+    for m, following in zip(measurements, followings, strict=True):
+        if following.told:
+            groups.setdefault(m.joint_names, []).append((m, following))
+    return [
+        finding
+        for names, told in groups.items()
+        if sum(following.seconds() for _, following in told) >= LEAST_WIRING
+        for finding in _wiring(names, told)
+    ]
+
+
+def _wiring(names: Sequence[str], told: Sequence[tuple[Measurement, Following]]) -> list[str]:
+    followings = [following for _, following in told]
+    table, moves = _table(len(names), followings)
+    own, opposite = np.diag(table), _opposite([m for m, _ in told])
+    against = own < MIRRORED
+    if not any(np.isfinite(following.lag) for following in followings):  # a joint that comes late enough seems to
+        others = [np.diag(_table(len(names), followings, lag)[0]) for lag in SERVO_LAGS]
+        against &= np.max(others, axis=0) < 0
+    mirrored = moves & (against | (opposite & (own < 0)))
+    stand = [f"{names[j]} stands at the opposite of its command: {SIGN}" for j in np.flatnonzero(opposite & ~moves)]
+    return stand + _against([names[j] for j in np.flatnonzero(mirrored)]) + _order(names, table, moves, mirrored)
+
+
+def _table(count: int, followings: Sequence[Following], lag: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(J, J) correlation of each command with each joint, and (J,) which joints move enough to be judged.
+
+    At a lag (s), or at that which was found.
+    """
+    products, of_commands, of_joints = np.zeros((3, count, count))
+    squares, samples = np.zeros(count), np.zeros(count)
+    for following in followings:
+        here = np.ix_(following.joints, following.joints)
+        asked, seen = (
+            values - values.mean(axis=0) for values in following.pairs(_found(following) if lag is None else lag)
+        )
+        products[here] += asked.T @ seen
+        of_commands[here] += (asked**2).sum(axis=0)[:, None]
+        of_joints[here] += (seen**2).sum(axis=0)[None]
+        squares[following.joints] += (seen**2).sum(axis=0)
+        samples[following.joints] += len(seen)
+    table = products / np.sqrt(np.maximum(of_commands * of_joints, 1e-12))
+    return table, np.sqrt(squares / np.maximum(samples, 1)) > MOVES / 2
+
+
+def _against(names: Sequence[str]) -> list[str]:
+    """A sentence for each of a few mirrored joints, one for many."""
+    if len(names) <= FEW:
+        return [f"{name} moves against its command: {SIGN}" for name in names]
+    return [f"{len(names)} joints move against their commands ({_some(names)}): their signs may be mirrored"]
+
+
+def _order(names: Sequence[str], table: np.ndarray, moves: np.ndarray, mirrored: np.ndarray) -> list[str]:
+    """Joints that follow the command of another one, as one order of all explains it best."""
+    alike = np.where(mirrored, -table, table)[np.ix_(moves, moves)]
+    who, own = [names[j] for j in np.flatnonzero(moves)], np.diag(alike)
+    pairs = zip(*linear_sum_assignment(-alike), strict=True)
+    follows = {b: a for a, b in pairs if a != b and alike[a, b] > max(SWAPPED, own[b] + APART)}
+    if len(follows) < 2:
         return []
-    asked, seen = following.pairs(_found(following))
-    follows = _follows(seen)
-    names = [m.joint_names[j] for j in following.joints[follows]]
-    opposite = _opposite(m)
-    findings = [f"{name} stands at the opposite of its command: {SIGN}" for name in opposite if name not in names]
-    if not names:
-        return findings
-    table = np.corrcoef(asked[:, follows].T, seen[:, follows].T).reshape(2 * len(names), -1)[: len(names), len(names) :]
-    own = np.diag(table)
-    findings += [
-        f"{name} moves against its command: {SIGN}"
-        for name, r in zip(names, own, strict=True)
-        if (r < MIRRORED and np.isfinite(following.lag)) or (r < 0 and name in opposite)
-    ]
-    findings += [
-        f"{names[a]} and {names[b]} follow each other's commands: they may be swapped"
-        for a, b in itertools.combinations(range(len(names)), 2)
-        if min(table[a, b], table[b, a]) > max(SWAPPED, max(own[a], own[b]) + 0.3)
-    ]
-    return findings
+    swapped = [(a, b) for b, a in follows.items() if follows.get(a) == b and a < b]
+    if 2 * len(swapped) == len(follows) and len(swapped) <= FEW:
+        return [f"{who[a]} and {who[b]} follow each other's commands: they may be swapped" for a, b in swapped]
+    told = _some([f"{who[b]} the command of {who[a]}" for b, a in follows.items()])
+    return [f"{len(follows)} joints follow other joints' commands ({told}): their columns may stand in another order"]
+
+
+def _some(of: Sequence[str]) -> str:
+    return ", ".join(of[:SHOWN]) + (f" and {len(of) - SHOWN} more" if len(of) > SHOWN else "")
 
 
 def unjudged(measurements: Sequence[Measurement]) -> tuple[str, ...]:
@@ -126,9 +187,10 @@ def _follows(seen: np.ndarray) -> np.ndarray:
     return np.std(seen, axis=0) > MOVES / 2
 
 
-def _opposite(m: Measurement) -> list[str]:
-    """Joints that are where their command, with the other sign, would have them."""
-    asked, seen = reference(m, m.time), m.joint_position
+def _opposite(measurements: Sequence[Measurement]) -> np.ndarray:
+    """(J,) which joints are where their command, with the other sign, would have them."""
+    asked = np.concatenate([reference(m, m.time) for m in measurements])
+    seen = np.concatenate([m.joint_position for m in measurements])
     far = np.nanmedian(np.abs(asked), axis=0)
     missed = np.nanmedian(np.abs(seen + asked), axis=0)
-    return [m.joint_names[j] for j in np.flatnonzero((far > STANDS) & (missed < OPPOSITE * far))]
+    return (far > STANDS) & (missed < OPPOSITE * far)
