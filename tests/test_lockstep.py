@@ -14,6 +14,8 @@ from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from tcbi_bringup import model_loader
+from tcbi_bringup.errors import BringupError
 from tcbi_bringup.launcher import NodeProcess
 from tcbi_contract import messages, names
 from tcbi_msgs.msg import Block, FootContacts, RolloutEvent
@@ -237,6 +239,14 @@ def test_a_reset_and_a_load_take_the_model_version_that_they_name(start_graph, p
     peer.wait_until(policy.poses, "the first pose")
     assert again.message.endswith("on hexapod-v0")
     assert policy.poses()[0].pose.position.z == heights[0]
+    assert model_loader.load_model(heavy.version) == [model_loader.Taken("sim node", heavy.version)]
+    assert policy.reset(task="balance", seed=1, duration=1.0).message.endswith(f"on {heavy.version}")
+
+
+def test_a_model_that_no_graph_could_take_is_told(domain, monkeypatch):
+    monkeypatch.setattr(model_loader, "FOUND_S", 0.5)
+    with pytest.raises(BringupError, match="no node of a graph offers load_model"):
+        model_loader.load_model("hexapod-v0")
 
 
 def test_what_cannot_be_is_refused_in_one_line_and_nothing_moves(start_graph, peer, store):

@@ -1,8 +1,11 @@
-"""`./tcbi model`: list, show and delete model versions."""
+"""`./tcbi model`: list, show and delete model versions, and have a running graph take one."""
 
 import argparse
+import dataclasses
+import sys
 from typing import TYPE_CHECKING, Any
 
+from tcbi_bringup.arguments import namespace
 from tcbi_bringup.commands import console
 from tcbi_bringup.errors import WrongCallError
 from tcbi_contract.plain import plain
@@ -11,7 +14,7 @@ if TYPE_CHECKING:
     from tcbi_sim.model import Model
     from tcbi_sim.store import ModelStore
 
-SUMMARY = "List the model versions, show what one knows and rests on, or delete one."
+SUMMARY = "List the model versions, show what one knows and rests on, have a running graph use it, or delete one."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,29 +23,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "./tcbi model                                         # all versions of all rigs",
         "./tcbi model hexapod-v2 --json",
+        "./tcbi model latest --use                            # the sim node that runs simulates it from now on",
         "./tcbi model hexapod-v3 --delete                     # an inference or an effect that one does not want",
     )
     parser.epilog = f"{parser.epilog}\n\n{_WHAT_HAPPENS}"
     parser.add_argument("version", nargs="?", default="", help="a model version, or latest; nothing lists all")
     parser.add_argument("--delete", action="store_true", help="delete it; one that others were made from is refused")
+    parser.add_argument("--use", action="store_true", help="have the graph's sim node and inference node take it")
+    parser.add_argument("--namespace", type=namespace, default="", help="of the graph, for --use")
     parser.add_argument("--rig", default="", help="list this rig's; whose version latest is (default: hexapod)")
     console.add_store(parser)
     console.add_json(parser)
 
 
-_WHAT_HAPPENS = """Where no version is named, every command and every node takes the newest. Deleting it makes the one
+_WHAT_HAPPENS = """A sim node keeps its version until --use names another one, between two rollouts: what is recorded
+of it is of one. An inference node that was told none, a training and every command take the newest as they begin.
+
+Where no version is named, every command and every node takes the newest. Deleting it makes the one
 before the newest again; its number is not given again, and policies that were trained on it stay."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """List, show or delete."""
+    """List, show, use or delete."""
     from tcbi_sim.store import LATEST, ModelStore
 
     store = ModelStore(args.store)
+    for option in ("delete", "use"):
+        if getattr(args, option) and not args.version:
+            raise WrongCallError(f"--{option}: got no model version; name one that ./tcbi model lists")
+    if args.delete and args.use:
+        raise WrongCallError("--delete and --use: got both, allowed is one of them")
+    if args.namespace and not args.use:
+        raise WrongCallError("--namespace: names the graph for --use, which was not given")
     if not args.version:
-        if args.delete:
-            raise WrongCallError("--delete: got no model version; name one that ./tcbi model lists")
         return _list(args, store)
+    if args.use:
+        return _use(args, store)
     if args.delete:
         if args.version == LATEST:
             raise WrongCallError("--delete: got latest, allowed is a version by its number; ./tcbi model lists them")
@@ -104,6 +120,21 @@ def _show(args: argparse.Namespace, store: "ModelStore") -> int:
     rows = [[p["name"], p["unit"], p["mean"], p["low90"], p["high90"]] for p in parameters]
     console.table("parameters", ["parameter", "unit", "mean", "5 %", "95 %"], rows)
     return 0
+
+
+def _use(args: argparse.Namespace, store: "ModelStore") -> int:
+    from tcbi_bringup.model_loader import load_model
+
+    store.load(args.version, args.rig or "hexapod")  # a wrong name is told before a graph is looked for
+    taken = load_model(args.version, args.namespace)
+    if args.json:
+        console.emit({"nodes": [dataclasses.asdict(answer) for answer in taken]})
+    for answer in taken:
+        if answer.problem:
+            print(f"{answer.node}: {answer.problem}", file=sys.stderr)
+        elif not args.json:
+            print(f"the {answer.node} has {answer.model} now")
+    return 1 if any(answer.problem for answer in taken) else 0
 
 
 def _delete(args: argparse.Namespace, store: "ModelStore") -> int:
