@@ -124,8 +124,10 @@ def _wiring(names: Sequence[str], told: Sequence[tuple[Measurement, Following]])
         others = [np.diag(_table(len(names), followings, lag)[0]) for lag in SERVO_LAGS]
         against &= np.max(others, axis=0) < 0
     mirrored = moves & (against | (opposite & (own < 0)))
-    stand = [f"{names[j]} stands at the opposite of its command: {SIGN}" for j in np.flatnonzero(opposite & ~moves)]
-    return stand + _against([names[j] for j in np.flatnonzero(mirrored)]) + _order(names, table, moves, mirrored)
+    stand = [
+        f"{names[j]} stands at the opposite of its command: {SIGN}" for j in map(int, np.flatnonzero(opposite & ~moves))
+    ]
+    return stand + _against([names[int(j)] for j in np.flatnonzero(mirrored)]) + _order(names, table, moves, mirrored)
 
 
 def _table(count: int, followings: Sequence[Following], lag: float | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -159,9 +161,9 @@ def _against(names: Sequence[str]) -> list[str]:
 def _order(names: Sequence[str], table: np.ndarray, moves: np.ndarray, mirrored: np.ndarray) -> list[str]:
     """Joints that follow the command of another one, as one order of all explains it best."""
     alike = np.where(mirrored, -table, table)[np.ix_(moves, moves)]
-    who, own = [names[j] for j in np.flatnonzero(moves)], np.diag(alike)
+    who, own = [names[int(j)] for j in np.flatnonzero(moves)], np.diag(alike)
     pairs = zip(*linear_sum_assignment(-alike), strict=True)
-    follows = {b: a for a, b in pairs if a != b and alike[a, b] > max(SWAPPED, own[b] + APART)}
+    follows = {int(b): int(a) for a, b in pairs if a != b and alike[a, b] > max(SWAPPED, own[b] + APART)}
     if len(follows) < 2:
         return []
     swapped = [(a, b) for b, a in follows.items() if follows.get(a) == b and a < b]
