@@ -134,6 +134,23 @@ FAULTS = {
         lambda m: dataclasses.replace(m, linear_acceleration=m.linear_acceleration * 0.01),
         "feels no gravity",
     ),
+    "attitude that stands": (
+        lambda m: dataclasses.replace(m, attitude=np.repeat(m.attitude[:1], len(m.time), axis=0)),
+        "attitude never changes while the gyro turns"),
+    "gyro that is dead": (lambda m: gyro(m, np.zeros_like), "gyro reads the same all the time"),
+    "accelerometer upside down": (
+        lambda m: dataclasses.replace(m, linear_acceleration=-m.linear_acceleration), "gravity the other way up"),
+    "accelerometer's axes in another order": (
+        lambda m: dataclasses.replace(m, linear_acceleration=m.linear_acceleration[:, [2, 0, 1]]),
+        "deg off where the attitude has it"),
+    "no contacts": (
+        lambda m: dataclasses.replace(m, contact=np.zeros_like(m.contact)), "No foot ever touches the ground"),
+    "contacts inverted": (lambda m: dataclasses.replace(m, contact=~m.contact), "contacts may be inverted"),
+    "tracker in millimetres": (
+        lambda m: dataclasses.replace(m, position=1e3 * m.position), "look like millimetres"),
+    "slope in degrees": (
+        lambda m: dataclasses.replace(m, scenario=dataclasses.replace(m.scenario, slope_roll=5.7)),
+        "slope by 5.7 rad"),
     "commands of another clock": (
         lambda m: dataclasses.replace(m, commands=dataclasses.replace(m.commands, time=m.commands.time + 100.0)),
         "All commands come after the last sample",

@@ -127,6 +127,13 @@ def test_who_gains_nothing_on_a_few_sets_is_not_fitted_to_all(made):
     assert list(Fake.starts) == ["best", "next"]
 
 
+def test_the_best_one_by_screening_is_fitted_whatever_a_few_sets_say(made):
+    looked, _ = made({"best": 100.0, "poor": 991.0})
+    looked = dataclasses.replace(looked, gains=np.array([1.0, 2.0]) * looked.gains)
+    assert list(looked.fit([0, 1], (0.5, 0.7))) == [0], "with coarse steps, and no further"
+    assert list(Fake.starts) == ["best", "poor"]
+
+
 def test_who_leads_over_all_that_was_fitted_looks_for_other_valleys(made):
     looked, calls = made({"first": 700.0, "leader": 100.0, "second": 650.0})
     fits = looked.fit([0], (0.5, 0.7))

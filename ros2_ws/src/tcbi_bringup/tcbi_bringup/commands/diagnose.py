@@ -172,7 +172,9 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
         )
     fitted = [e.use for e in d.ranking if e.refined]
     if not added and d.uses and d.uses[0] in fitted and not objection(d.to_json(), d.uses[0]):
-        print(f"next: ./tcbi add {d.uses[0]} --model {d.model}")
+        sure = any(e.accepted and e.use == d.uses[0] for e in d.ranking)
+        trial = "" if sure else "              # to try it: it is not certain"
+        print(f"next: ./tcbi add {d.uses[0]} --model {d.model}{trial}")
     for use in (use for use in d.uses if use not in fitted):
         print(f"next: ./tcbi add {use} --model {d.model} --prior")
     print(f"report: {path} ({d.seconds:.0f} s)")

@@ -390,3 +390,7 @@ def _say_missing(recording: Recording, rig: str, notes: list[str]) -> None:
         TRACKER_POSE: "the path cannot be compared; a distance comes from the END event alone",
     }
     notes += [f"no {topic}: {cost}" for topic, cost in costs.items() if not recording.records.get(topic)]
+    readings = recording.records.get(IMU, [])
+    if readings and all(_attitude(r.message) is None for r in readings):
+        cost = "attitude, and the reward and the statistics that need it, cannot be compared"
+        notes.append(f"{IMU}: no orientation, or one of zeros alone: {cost}")

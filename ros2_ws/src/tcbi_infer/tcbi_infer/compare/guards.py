@@ -13,6 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tcbi_contract.wording import counted
+from tcbi_infer.compare.body_guards import check_body
 from tcbi_infer.compare.clocks import LONGEST, Following, aligned, clock_rate
 from tcbi_infer.compare.imu_guards import check_imu
 from tcbi_infer.compare.replicates import by_torque, find_replicates, nearly_repeats
@@ -194,6 +195,7 @@ def _check(m: Measurement, following: Following) -> list[str]:
         *echo(m, following),
         *_lag(following),
         *check_imu(m),
+        *check_body(m),
     ]
 
 

@@ -1,4 +1,5 @@
-"""Checks of the IMU against itself: its gyro must turn as its attitude turns, its accelerometer must feel gravity."""
+"""Checks of the IMU against itself: its gyro must turn as its attitude turns, its accelerometer must feel gravity where
+that is."""
 
 import numpy as np
 
@@ -8,6 +9,7 @@ TURNS = np.radians(3.0)  # rad/s, standard deviation of a body rate that counts 
 WINDOW = 5  # samples averaged over, against noise
 MIRRORED, FOLLOWS = -0.6, 0.7  # correlations
 GRAVITY = 9.81  # m/s^2
+ALONG = 0.7  # cosine; no mounting of an IMU is 45 degrees off by mistake of a few
 AXES = "xyz"
 
 
@@ -22,7 +24,12 @@ def _gyro(m: Measurement) -> list[str]:
     turned, felt = body_rates(m.attitude, m.time), (m.angular_velocity[1:] + m.angular_velocity[:-1]) / 2
     kernel = np.ones(WINDOW) / WINDOW
     turned, felt = (np.stack([np.convolve(c, kernel, "valid") for c in v.T], axis=-1) for v in (turned, felt))
-    moving = [i for i in range(3) if np.std(turned[:, i]) > TURNS and np.std(felt[:, i]) > 0]
+    turns, feels = np.std(turned, axis=0), np.std(felt, axis=0)
+    if not turns.any() and feels.max() > TURNS:
+        return ["The attitude never changes while the gyro turns: it is not measured"]
+    if not feels.any() and turns.max() > TURNS:
+        return ["The gyro reads the same all the time while the attitude turns: it is not measured"]
+    moving = [i for i in range(3) if turns[i] > TURNS and feels[i] > 0]
     if not moving:
         return []
     table = np.corrcoef(turned.T, felt.T)[:3, 3:]
@@ -61,4 +68,20 @@ def _accelerometer(m: Measurement) -> list[str]:
         return ["The accelerometer reads 1 at rest: it looks like multiples of gravity instead of m/s^2"]
     if size < 0.1 * GRAVITY:
         return ["The accelerometer feels no gravity: it was taken out before recording, or the sensor is dead"]
-    return []
+    return [] if m.attitude is None else _direction(m.linear_acceleration, m.attitude)
+
+
+def _direction(force: np.ndarray, attitude: np.ndarray) -> list[str]:
+    """Whether (T, 3) the force felt points, in the mean, up from (T, 4) attitudes w x y z."""
+    w, x, y, z = attitude.T
+    up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)], axis=-1).mean(axis=0)
+    felt = np.median(force, axis=0)
+    cosine = float(felt @ up / np.linalg.norm(felt) / np.linalg.norm(up))
+    if cosine > ALONG:
+        return []
+    if cosine < -ALONG:
+        return ["The accelerometer feels gravity the other way up: its sign may be mirrored"]
+    return [
+        f"The accelerometer feels gravity {np.degrees(np.arccos(cosine)):.0f} deg off where the attitude has it: its "
+        "axes may be swapped"
+    ]

@@ -178,7 +178,8 @@ class Search:
         return fits
 
     def _promising(self, starts: Mapping[int, np.ndarray], others: Fits) -> list[int]:
-        """Uses whose (n, P) starts explain enough of a few sets to be fitted to all."""
+        """Uses whose (n, P) starts explain enough of a few sets to be fitted to all; and the best one by screening, of
+        all sets, whatever a few say with rough steps."""
         none = np.zeros(len(self.base.nuisance))
         without = min(self._losses_on_few(self.base.model, self.base.unit, none))
 
@@ -187,7 +188,8 @@ class Search:
 
         gains = {u: gain(self.screen.directions.models[u], units) for u, units in starts.items()}
         best = max([*gains.values(), *(gain(rough.model, rough.unit) for rough, _ in others.values())], default=0.0)
-        return [u for u, nats in gains.items() if nats >= HOPELESS * best or best < LEAST_WORTH]
+        leads = None if others else max(gains, key=lambda u: self.worth[u], default=None)
+        return [u for u, nats in gains.items() if nats >= HOPELESS * best or best < LEAST_WORTH or u == leads]
 
     def _losses_on_few(
         self, model: Model, units: np.ndarray, nuisance: np.ndarray, scatter: Nuisance | None = None
