@@ -22,7 +22,9 @@ def _contacts(m: Measurement) -> list[str]:
         return ["No foot ever touches the ground: the contacts are not measured"]
     falls = float(np.mean(m.contact.sum(axis=1) < 2))
     if falls > FALLS:
-        return [f"Less than two feet touch the ground {100 * falls:.0f} % of the time: the contacts may be inverted"]
+        return [
+            f"Less than two feet touch the ground {100 * falls:.0f} % of the time: the contacts may be inverted or dead"
+        ]
     return []
 
 
