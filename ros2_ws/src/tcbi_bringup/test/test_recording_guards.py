@@ -146,7 +146,7 @@ FAULTS = {
     "no contacts": (
         lambda m: dataclasses.replace(m, contact=np.zeros_like(m.contact)), "No foot ever touches the ground"),
     "contacts of one foot": (
-        lambda m: dataclasses.replace(m, contact=m.contact & (np.arange(6) == 2)), "Less than two feet touch the ground"),
+        lambda m: dataclasses.replace(m, contact=m.contact & (np.arange(6) == 2)), "Less than two feet touch"),
     "tracker in millimetres": (
         lambda m: dataclasses.replace(m, position=1e3 * m.position), "look like millimetres"),
     "slope in degrees": (
