@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from tcbi_bringup.arguments import between, timestep
 from tcbi_bringup.commands import console
+from tcbi_contract.wording import counted
 
 if TYPE_CHECKING:
     from tcbi_infer.compare import Comparison
@@ -47,11 +48,13 @@ def run(args: argparse.Namespace) -> int:
     measurements = console.read_bags(args)
     store = ModelStore(args.store)
     model = store.load(args.model, measurements[0].rig)
-    console.note(f"replaying {len(measurements)} rollouts in {model.version}")
+    console.note(f"replaying {counted(len(measurements), 'rollout')} in {model.version}")
     comparison = compare(model, measurements, timestep=args.timestep, particles=args.particles)
     line = lineage(model, store.history(model.rig))
     rungs = ladder(comparison, line, measurements, timestep=args.timestep)
-    report = Report("Model against measurement", f"Model {model.version}, {len(comparison.rollouts)} rollouts.")
+    report = Report(
+        "Model against measurement", f"Model {model.version}, {counted(len(comparison.rollouts), 'rollout')}."
+    )
     add_comparison(report, comparison, rungs=rungs)
     name = file_name("compare", model.version, comparison.rollouts)
     path = report.write(args.report or store.folder("reports") / name)
@@ -65,14 +68,15 @@ def run(args: argparse.Namespace) -> int:
 def _print(comparison: "Comparison", rungs: "Sequence[Rung]", path: Path) -> None:
     for line in (*comparison.guards, *comparison.not_checked):
         print(f"note: {line}")
-    errors = (*comparison.signals, *comparison.statistics)
-    rows = [[s.name, s.unit, s.error, s.noise_floor, s.floor_from, s.ratio, s.coverage90, s.crps] for s in errors]
-    head = ["signal", "unit", "error", "noise floor", "from", "error / floor", "inside 90 % band", "CRPS"]
-    console.table(f"{comparison.model} on {len(comparison.rollouts)} rollouts", head, rows)
     print("error over noise floor, joints and attitude:")
+    print(f"  {1.0:8.2f}  noise floor")
     for rung in rungs:
         print(f"  {rung.error_over_floor:8.2f}  {rung.label}{' (fitted to some of these)' if rung.fitted_here else ''}")
     print(comparison.floor.statement)
+    errors = (*comparison.signals, *comparison.statistics)
+    rows = [[s.name, s.unit, s.error, s.noise_floor, s.floor_from, s.ratio, s.coverage90, s.crps] for s in errors]
+    head = ["signal", "unit", "error", "noise floor", "from", "error / floor", "inside 90 % band", "CRPS"]
+    console.table(f"{comparison.model} on {counted(len(comparison.rollouts), 'rollout')}", head, rows)
     for finding in comparison.where:
         print(f"  {finding.statement}")
     moments = [[w.rollout, w.time, w.signal, w.error, w.unit, w.error_over_floor] for w in comparison.worst]
