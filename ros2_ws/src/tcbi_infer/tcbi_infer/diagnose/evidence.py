@@ -83,8 +83,8 @@ class Evidence:
       error_before: error over noise floor on rollouts that no fit saw, base model refitted.
       error_after: the same with the effect.
       held_out: error over noise floor before and after, of the open motions alone, each predicted without its own kind.
-      elsewhere: errors over noise floor before and after, on rollouts that no fit saw, of the other signals that fits
-        look at, by their names, and of the joints at the place of a use that has one, by that.
+      elsewhere: errors over noise floor before and after of the other signals that fits look at, by their names, on
+        rollouts that no fit saw.
       refined: fitted by simulation; else only screened, and the figures are a linear estimate.
       gains: of each kind of motion, in nats; `sizes` the replicate sets of each.
       alike: uses that change the signals in nearly the same way.

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from tcbi_infer.compare.comparison import error_over_floor
 from tcbi_infer.compare.locate import worst_moments
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replicates import Split
-from tcbi_infer.compare.scorer import ratios
 from tcbi_infer.compare.signals import ATTITUDE, GROUPS, JOINT, Group
 from tcbi_infer.diagnose import paired
 from tcbi_infer.diagnose.evidence import Evidence, Misfit, Moment, ParameterEstimate
@@ -36,7 +36,6 @@ class Judged:
     held: HeldOut
     error: float  # over the noise floor, on motions that no fit saw
     elsewhere: dict[str, float]  # the same of each other kind of signal that fits look at, by its name
-    joints: dict[str, float]  # the same of each joint alone
 
 
 class Judge:
@@ -75,10 +74,7 @@ class Judge:
             for group in GROUPS
             if group.fitted and group not in (JOINT, ATTITUDE) and self._measured(sets, group)
         }
-        squares = self._ratios(predicted, sets) ** 2
-        channels = self.replay.layout.channels
-        joints = {channels[c].name: float(np.sqrt(squares[c])) for c in self.replay.layout.where(JOINT)}
-        return Judged(fit, held, self._error(predicted, sets), elsewhere, joints)
+        return Judged(fit, held, self._error(predicted, sets), elsewhere)
 
     def held_out_error(self, judged: Judged) -> float:
         """Error over the floor of the open motions, each predicted without its own kind.
@@ -133,14 +129,10 @@ class Judge:
 
     def _error(self, predicted: np.ndarray, sets: Sequence[int], *groups: Group) -> float:
         """Of predictions (sets, T, C); infinite where one diverged; of joints and attitude, or of `groups`."""
-        counted = self.replay.layout.where(*(groups or (JOINT, ATTITUDE)))
-        return float(np.sqrt(np.nanmean(self._ratios(predicted, sets)[counted] ** 2)))
-
-    def _ratios(self, predicted: np.ndarray, sets: Sequence[int]) -> np.ndarray:
-        """(C,) error over the floor of predictions (sets, T, C)."""
         pairs = [(m, i) for i, s in enumerate(sets) for m in self.replay.replicates[s].members]
         members, owners = map(list, zip(*pairs, strict=True))
-        return ratios(self.replay.layout, self.replay.measured[members], predicted[owners], self.floor.values)
+        measured, counted = self.replay.measured[members], groups or (JOINT, ATTITUDE)
+        return error_over_floor(self.replay.layout, measured, predicted[owners], self.floor.values, counted)
 
     def evidence(self, use: str, after: Judged, before: Judged, drift: np.ndarray) -> Evidence:
         """What the rollouts say of a use that was fitted; with "" of the base model itself.
@@ -170,8 +162,7 @@ class Judge:
             refined=True,
             converged=fit.converged,
             held_out=(self.held_out_error(before), self.held_out_error(after)),
-            elsewhere={name: (before.elsewhere[name], error) for name, error in after.elsewhere.items()}
-            | _at_its_place(use, before, after),
+            elsewhere={name: (before.elsewhere[name], error) for name, error in after.elsewhere.items()},
             gains=tuple(float(g) for g in gains),
             sizes=tuple(int(s) for s in self.sizes),
             names=fit.model.names,
@@ -202,14 +193,6 @@ class Judge:
                 )
             )
         return found
-
-
-def _at_its_place(use: str, before: Judged, after: Judged) -> dict[str, tuple[float, float]]:
-    """By the place of a use that has one, the error of its joints before and after, which hardly moves that of all."""
-    place = use.partition(":")[2]
-    own = [name for name in before.joints if place and (name == place or name.startswith(f"{place}_"))]
-    errors = (float(np.sqrt(np.mean([judged.joints[name] ** 2 for name in own or ()]))) for judged in (before, after))
-    return {place: (next(errors), next(errors))} if own else {}
 
 
 def estimate(parameter: Parameter, unit: float, low: float, high: float) -> ParameterEstimate:

@@ -21,7 +21,7 @@ from tcbi_infer.diagnose.evidence import (
 )
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
-ELSEWHERE = 0.2  # the same of one other kind of signal, or of one place, where an effect shows in little else
+ELSEWHERE = 0.2  # the same of one other kind of signal, where an effect of a sensor shows in no joint and no attitude
 WIDELY = 0.25  # quantile over the kinds of motion that must err so much, before it is more than a slip in one of them
 # times the floor, of roll and pitch alone: of 12 robots with nothing hidden the worst left 2.1 in so many kinds
 ATTITUDE_PREDICTED = 4.0
@@ -74,8 +74,7 @@ def accept(evidence: Evidence, threshold: float, unfitted: float) -> tuple[bool,
 
 
 def shows_in(evidence: Evidence) -> str:
-    """The kind of signal beside joints and attitude, or the place of an effect that has one, whose error it lowers
-    where it leaves that of all joints and attitude; else ""."""
+    """The kind of signal beside joints and attitude whose error an effect lowers, where it leaves theirs; else ""."""
     if _lowered(evidence.error_after, evidence.error_before):
         return ""
     left = {name: after / before for name, (before, after) in evidence.elsewhere.items() if before > NOTICEABLE}
@@ -210,7 +209,7 @@ def _ruled(
         return _none_accepted(ranking, base, kinds, unfitted, unseen, tried)
     best = accepted[0]
     left, explained = best.error_after, _explained(best)
-    if left > WELL_PREDICTED and explained < EXPLAINED and not shows_in(best):
+    if left > WELL_PREDICTED and explained < EXPLAINED:
         return Ruling(
             OUTSIDE_LIBRARY,
             (),
@@ -230,9 +229,8 @@ def _ruled(
     still = " Much is left to explain: add it, and diagnose the new version again." if left > WELL_PREDICTED else ""
     before, after, of, stays = best.error_before, left, "", ""
     if not _lowered(before, left) and (signal := shows_in(best)):
-        told = signal if best.use.endswith(f":{signal}") else signal.replace("_", " ")
-        (before, after), of = best.elsewhere[signal], f" of {told}"
-        stays = f" That of all joints and attitude stays at {left:.1f}."
+        (before, after), of = best.elsewhere[signal], f" of {signal.replace('_', ' ')}"
+        stays = f" That of joints and attitude stays at {left:.1f}."
     return Ruling(
         EFFECT,
         (best.use,),
