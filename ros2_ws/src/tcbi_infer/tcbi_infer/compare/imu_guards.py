@@ -9,7 +9,7 @@ TURNS = np.radians(3.0)  # rad/s, standard deviation of a body rate that counts 
 WINDOW = 5  # samples averaged over, against noise
 MIRRORED, FOLLOWS = -0.6, 0.7  # correlations
 GRAVITY = 9.81  # m/s^2
-ALONG = 0.7  # cosine; no mounting of an IMU is 45 degrees off by mistake of a few
+ALONG = 0.7  # cosine; an IMU that was mounted carelessly is not 45 degrees off
 AXES = "xyz"
 
 
@@ -74,10 +74,10 @@ def _accelerometer(m: Measurement) -> list[str]:
 def _direction(force: np.ndarray, attitude: np.ndarray) -> list[str]:
     """Whether (T, 3) the force felt points, in the mean, up from (T, 4) attitudes w x y z."""
     w, x, y, z = attitude.T
-    up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)], axis=-1).mean(axis=0)
-    felt = np.median(force, axis=0)
+    up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)], axis=-1)
+    up, felt = np.nanmean(up, axis=0), np.nanmedian(force, axis=0)
     cosine = float(felt @ up / np.linalg.norm(felt) / np.linalg.norm(up))
-    if cosine > ALONG:
+    if not cosine <= ALONG:  # NaN where one was never measured
         return []
     if cosine < -ALONG:
         return ["The accelerometer feels gravity the other way up: its sign may be mirrored"]
