@@ -7,12 +7,12 @@ generations     means, variances, ESS, alpha and divergences over generations
 """
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tcbi_contract.files import replacement
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.result import Result
 from tcbi_sim.model import Model
@@ -100,11 +100,7 @@ def save(store: ModelStore, result: Result) -> Model:
 
 
 def write(path: Path, result: Result) -> None:
-    """Write a result under a temporary name, then rename."""
+    """Write a result, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        dataset(result).to_netcdf(temporary, engine="h5netcdf")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacement(path) as work:
+        dataset(result).to_netcdf(work, engine="h5netcdf")

@@ -177,3 +177,27 @@ def test_a_version_is_not_made_of_sizes_on_which_the_motions_disagree(monkeypatc
     assert adopt.offered("a model", "backlash", diagnosis(True)) == "a model"
     with pytest.raises(InferError, match="not offered for use"):
         adopt.offered("a model", "backlash", diagnosis(False))
+
+
+def test_a_base_parameter_on_which_the_motions_disagree_is_as_wide_as_their_values_are_apart():
+    """The others keep their spread, and where all agree nothing is wider."""
+    middle, step = MODEL.from_unit(np.full(3, 0.5)), np.array([0.0, 0.2, 0.0])
+    ends = MODEL.from_unit(np.array([0.5 - step, 0.5 + step]))[:, 1]
+    kinds = [{"kind": kind, "value": float(end)} for kind, end in zip(("sines", "steps"), ends, strict=True)]
+    said = {"name": MODEL.parameters[1].name, "statement": "The kinds of motion disagree.", "kinds": kinds}
+    base = {"use": "", "refined": True, "accepted": False, "values": middle, "spread": np.eye(3) * 0.02**2}
+    found = {
+        **{"model": MODEL.version, "verdict": "nothing_missing", "statement": "", "rollouts": [], "sealed": []},
+        **{"errors": {}, "floor_from_replicates": True, "ranking": []},
+        "base": {**base, "error_after": 1.0, "parameters": []},
+    }
+
+    def reach(agrees: bool) -> tuple[np.ndarray, list[str]]:
+        version = adopt.adopt(MODEL, "", {**found, "agreement": {"": [{**said, "agrees": agrees}]}})
+        unit = version.to_unit(version.particles)
+        return np.quantile(unit, 0.95, axis=0) - np.quantile(unit, 0.05, axis=0), version.evidence["disagreements"]
+
+    (wide, told), (narrow, silent) = reach(agrees=False), reach(agrees=True)
+    assert wide[1] == pytest.approx(0.4, rel=0.05)
+    assert np.delete(wide, 1) == pytest.approx(np.delete(narrow, 1)) and narrow == pytest.approx(0.066, rel=0.05)
+    assert told == ["The kinds of motion disagree. Its interval reaches over all of them."] and not silent

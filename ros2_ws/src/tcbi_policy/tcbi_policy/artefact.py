@@ -23,6 +23,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from tcbi_contract.errors import describe
+from tcbi_contract.files import replace_file
 from tcbi_policy.entries import FILE_NAME, LIST, NAMES, NUMBER, NUMBER_OR_NONE, OBJECT, TEXT, faults
 from tcbi_policy.errors import PolicyDamaged, PolicyError, PolicyNotFound
 from tcbi_policy.gaits import GAITS, Gait
@@ -145,19 +146,6 @@ def save_policy(stem: Path, mlp: Mlp, card: Card) -> Policy:
     replace_file(path, data)
     replace_file(stem.with_name(stem.name + ".json"), card.to_json().encode())
     return Policy(Mlp.from_tensors(load(data), card.layout.limit), card, path)
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Write a file so that a reader sees the old content or the new one, never a part."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

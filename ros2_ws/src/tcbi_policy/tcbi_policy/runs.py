@@ -29,7 +29,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from tcbi_policy.artefact import find_policy, replace_file
+from tcbi_contract.files import remove_unfinished, replace_file
+from tcbi_policy.artefact import find_policy
 from tcbi_policy.configuration import TrainingConfig
 from tcbi_policy.errors import TrainingError
 from tcbi_sim.model import Model
@@ -151,8 +152,7 @@ def alone(folder: Path, patience_s: float = ORPHAN_S) -> Iterator[None]:
                 time.sleep(0.1)
         if not (folder / SPEC).exists():
             raise TrainingError(ended_meanwhile(folder))
-        for temporary in folder.glob(".*.[0-9]*"):  # of `replace_file`
-            temporary.unlink(missing_ok=True)
+        remove_unfinished(folder)
         yield
 
 

@@ -29,7 +29,8 @@ from safetensors.torch import save
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from tcbi_policy.artefact import Card, Policy, replace_file, save_policy
+from tcbi_contract.files import replace_file
+from tcbi_policy.artefact import Card, Policy, save_policy
 from tcbi_policy.configuration import TrainingConfig, check_start
 from tcbi_policy.environment import HexapodVectorEnv
 from tcbi_policy.errors import TrainingError

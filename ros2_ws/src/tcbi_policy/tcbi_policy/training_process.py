@@ -19,7 +19,8 @@ import numpy as np
 import torch
 
 from tcbi_contract.errors import TcbiError
-from tcbi_policy.artefact import Actor, Policy, find_policy, locked, replace_file, strict_json
+from tcbi_contract.files import replace_file
+from tcbi_policy.artefact import Actor, Policy, find_policy, locked, strict_json
 from tcbi_policy.attempts import confidence, known_verdict, next_attempt, verdict_in
 from tcbi_policy.configuration import HIGHEST_SEED
 from tcbi_policy.errors import TrainingError

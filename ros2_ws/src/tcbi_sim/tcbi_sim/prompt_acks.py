@@ -5,6 +5,8 @@ import os
 import tempfile
 from pathlib import Path
 
+from tcbi_contract.files import replace_file
+
 log = logging.getLogger(__name__)
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
@@ -40,10 +42,5 @@ def _written() -> Path:
     """The file with the profile."""
     path = Path(tempfile.gettempdir()) / f"tcbi-{os.getuid()}-prompt-acks.xml"
     if not path.is_file() or path.read_bytes() != PROFILE.encode():
-        fresh = path.with_suffix(f".{os.getpid()}")
-        try:
-            fresh.write_bytes(PROFILE.encode())
-            fresh.replace(path)
-        finally:
-            fresh.unlink(missing_ok=True)
+        replace_file(path, PROFILE)
     return path

@@ -68,10 +68,8 @@ def run(args: argparse.Namespace) -> int:
 def _print(comparison: "Comparison", rungs: "Sequence[Rung]", path: Path) -> None:
     for line in (*comparison.guards, *comparison.not_checked):
         print(f"note: {line}")
-    print("error over noise floor, joints and attitude:")
-    print(f"  {1.0:8.2f}  noise floor")
-    for rung in rungs:
-        print(f"  {rung.error_over_floor:8.2f}  {rung.label}{' (fitted to some of these)' if rung.fitted_here else ''}")
+    seen = {True: " (fitted to some of these)", False: ""}
+    console.ladder([(rung.label + seen[rung.fitted_here], rung.error_over_floor) for rung in rungs])
     print(comparison.floor.statement)
     errors = (*comparison.signals, *comparison.statistics)
     rows = [[s.name, s.unit, s.error, s.noise_floor, s.floor_from, s.ratio, s.coverage90, s.crps] for s in errors]

@@ -271,6 +271,22 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
     print(text.get(), end="")  # not by rich, which makes an error of a reader that has gone
 
 
+def ladder(errors: Sequence[tuple[str, float]], judged: str = "") -> None:
+    """The error ladder on standard output: the noise floor, each model, and what the last one leaves unexplained.
+
+    Args:
+      errors: label and error over noise floor of each model; infinite where it diverges.
+      judged: the motions that the errors are of, where not all were compared.
+    """
+    from tcbi_infer.compare.ladder import unexplained
+
+    rungs = [("noise floor", 1.0), *errors, ("left unexplained", unexplained(errors[-1][1]))]
+    print(f"error over noise floor, joints and attitude{judged and f', {judged}'}:")
+    for label, error in rungs:
+        if not math.isnan(error):
+            print(f"  {f'{error:.2f}' if math.isfinite(error) else 'diverges':>8}  {label}")
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(plain(value), (int, float)) and not isinstance(plain(value), bool)
 

@@ -138,11 +138,16 @@ def _as_json(found: "list[Round]", paths: list[Path], *, saved: bool) -> dict[st
 def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> None:
     from tcbi_infer.diagnose import detectable, excitation
     from tcbi_infer.diagnose.adopt import objection
-    from tcbi_infer.diagnose.evidence import CANNOT_TELL, OUTSIDE_LIBRARY
+    from tcbi_infer.diagnose.evidence import CANNOT_TELL, OUTSIDE_LIBRARY, step_label
 
     for finding in d.guards:
         if finding not in noted:  # told before the search
             print(f"note: {finding}")
+    judged = "on motions that no fit has seen" if d.sealed else "on motions held out in turn"
+    console.ladder(
+        [(step_label(name), error) for name, error in d.errors.items()],
+        "of the motion of the fit itself" if d.nothing_held_out else judged,
+    )
     head = ["effect", "held-out gain", "s.e.", "statistic", "error before", "after", "size (90 % interval)"]
     rows = []
     for e in (*d.ranking[:SHOWN], *(e for e in d.ranking[SHOWN:] if e.use in d.uses)):

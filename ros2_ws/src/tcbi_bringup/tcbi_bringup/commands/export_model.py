@@ -26,8 +26,8 @@ def run(args: argparse.Namespace) -> int:
     """Load, write, check that plain MuJoCo reads it back."""
     import mujoco
 
+    from tcbi_contract.files import replace_file
     from tcbi_infer.errors import InferError
-    from tcbi_policy.artefact import replace_file
     from tcbi_sim.mjcf import outside, to_xml
     from tcbi_sim.store import ModelStore
 

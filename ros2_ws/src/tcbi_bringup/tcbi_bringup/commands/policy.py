@@ -139,7 +139,8 @@ def _card(card: Any) -> list[list[str]]:
 
 
 def _export(policy: Any, path: Path) -> str:
-    from tcbi_policy.artefact import Policy, replace_file
+    from tcbi_contract.files import replace_file
+    from tcbi_policy.artefact import Policy
     from tcbi_policy.errors import PolicyError
     from tcbi_policy.onnx_file import to_onnx
 

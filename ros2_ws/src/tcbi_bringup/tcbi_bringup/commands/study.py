@@ -84,7 +84,7 @@ def _report(preset: str, plan: Any, folder: Path) -> dict[str, Any]:
     from tcbi_bringup.study import tables
     from tcbi_bringup.study.notebook import Notebook
     from tcbi_bringup.study.page import write
-    from tcbi_policy.artefact import replace_file
+    from tcbi_contract.files import replace_file
 
     findings = tables.Findings(plan, Notebook(folder / "study.jsonl"))
     data = {"preset": preset, "folder": str(folder), **tables.everything(findings)}

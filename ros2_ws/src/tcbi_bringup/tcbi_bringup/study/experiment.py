@@ -26,6 +26,7 @@ from tcbi_bringup.errors import BringupError, WrongCallError
 from tcbi_bringup.study.notebook import Notebook, Result
 from tcbi_bringup.study.plan import CONTESTANTS, FIRST, WINNER, Key, Plan
 from tcbi_bringup.study.robots import Laboratory, Order
+from tcbi_contract.files import replace_file
 from tcbi_infer import posterior
 from tcbi_infer.bags.measurement_writer import write_measurement
 from tcbi_infer.bags.reader import read_measurements
@@ -39,7 +40,7 @@ from tcbi_infer.tcbi.driver import Interrupted, infer
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.rollouts import sensor_noise
-from tcbi_policy.artefact import Policy, find_policy, replace_file, save_policy
+from tcbi_policy.artefact import Policy, find_policy, save_policy
 from tcbi_policy.configuration import TrainingConfig, preset
 from tcbi_policy.environment import TIMESTEP_S
 from tcbi_policy.retraining import fine_tuning

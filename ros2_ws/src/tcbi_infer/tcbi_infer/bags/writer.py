@@ -23,6 +23,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from tcbi_contract import names
+from tcbi_contract.files import replace_file
 from tcbi_infer.bags import schemas
 from tcbi_infer.bags.scan import CDR, UNDECODED
 from tcbi_infer.errors import BagError, RecordingError
@@ -348,12 +349,7 @@ class _PlainDumper(yaml.SafeDumper):
 
 def write_metadata(folder: Path, metadata: dict[str, Any]) -> None:
     """metadata.yaml, whole or not at all."""
-    temporary = folder / ".metadata.yaml"
-    with temporary.open("w", encoding="utf-8") as file:
-        yaml.dump(metadata, file, Dumper=_PlainDumper, sort_keys=False)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.rename(folder / "metadata.yaml")
+    replace_file(folder / "metadata.yaml", yaml.dump(metadata, Dumper=_PlainDumper, sort_keys=False))
     sync_folder(folder)
 
 

@@ -2,10 +2,10 @@
 
 import dataclasses
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from tcbi_contract.files import replace_file
 from tcbi_contract.plain import plain
 from tcbi_infer.compare.comparison import error_figure
 from tcbi_infer.compare.ladder import not_seen, seen_by
@@ -77,9 +77,7 @@ def remember(lines: Sequence[VersionError], folder: Path, rig: str, not_counted:
         "lines": [dataclasses.asdict(line) for line in lines],
     }
     path = folder / f"{PREFIX}{rig}.json"
-    work = path.with_suffix(".part")
-    work.write_text(json.dumps(plain(content)), encoding="utf-8")
-    os.replace(work, path)
+    replace_file(path, json.dumps(plain(content)))
     return path
 
 

@@ -3,7 +3,6 @@
 import dataclasses
 import datetime
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
+from tcbi_contract.files import replace_file
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import Diagnosis
 from tcbi_infer.diagnose.settings import Settings
@@ -30,6 +30,8 @@ MOMENTS = "moments-"  # the worst moments of the diagnosis of the same name
 
 def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -> Model:
     """The model with an effect, distributed as the diagnosis fitted it; unsaved.
+
+    A parameter on which the kinds of motion disagree is as wide as their values are apart.
 
     Args:
       model: the parent, the same that was diagnosed.
@@ -51,7 +53,9 @@ def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -
         known = ", ".join(e["use"] for e in fitted) or "none"
         raise InferError(f"the diagnosis fitted {known}, but not {use!r}; give bags to fit it now")
     child = model.with_effect(use) if use else model
-    particles = draw(child, np.array(evidence["values"]), np.array(evidence["spread"]), seed)
+    doubted = disagreements(diagnosis, use)
+    values = np.array(evidence["values"])
+    particles = draw(child, values, _reaching(child, values, np.array(evidence["spread"]), doubted), seed)
     log_weights = np.full(len(particles), -np.log(len(particles)))
     summary = {
         "kind": "diagnosis",
@@ -66,7 +70,7 @@ def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -
         "floor_from_replicates": diagnosis["floor_from_replicates"],
         "nothing_held_out": diagnosis.get("nothing_held_out", False),
         "parameters": evidence["parameters"],
-        "disagreements": [a["statement"] for a in disagreements(diagnosis, use)],
+        "disagreements": [f"{a['statement']} Its interval reaches over all of them." for a in doubted],
     }
     fitted_again = child.with_particles(particles, log_weights, **summary)
     return dataclasses.replace(fitted_again, joint_gains=tuple(evidence.get("joint_gains") or model.joint_gains))
@@ -99,6 +103,17 @@ def objection(diagnosis: Mapping[str, Any], use: str) -> str:
         f"{use} is not offered for use. {' '.join(told)} See the values in the report, and look for what else "
         "differs between these motions; or add it all the same with `./tcbi add --anyway`"
     )
+
+
+def _reaching(model: Model, values: np.ndarray, spread: np.ndarray, doubted: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """(P, P) the spread, the 90 % interval of each doubted parameter reaching to the value of every kind of motion."""
+    names, wider = [p.name for p in model.parameters], np.ones(len(values))
+    for told in doubted:
+        i = names.index(told["name"])
+        ends = np.array([kind["value"] for kind in told["kinds"]])
+        reach = np.max(np.abs(model.parameters[i].to_unit(ends) - model.parameters[i].to_unit(values[i])))
+        wider[i] = max(reach / FAR / max(np.sqrt(spread[i, i]), LEAST_ROOM), 1.0)
+    return spread * np.outer(wider, wider)
 
 
 def draw(model: Model, values: np.ndarray, spread: np.ndarray, seed: int) -> np.ndarray:
@@ -157,9 +172,7 @@ def remember(diagnosis: Diagnosis, folder: Path) -> Path:
             (moments, json.dumps(diagnosis.moments_json())),
             (path, json.dumps(diagnosis.to_json(), indent=1) + "\n"),
         ):
-            work = place.with_suffix(".part")
-            work.write_text(text)
-            os.replace(work, place)
+            replace_file(place, text)
     except OSError as e:
         raise InferError(f"cannot write {path}: {e.strerror}; free space or choose --store") from e
     return path

@@ -9,8 +9,6 @@ report.write(path)
 import dataclasses
 import datetime
 import hashlib
-import os
-import tempfile
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -18,6 +16,7 @@ from typing import Any
 
 import jinja2
 
+from tcbi_contract.files import replace_file
 from tcbi_infer.errors import InferError
 
 
@@ -98,11 +97,7 @@ class Report:
         path = Path(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            handle, work = tempfile.mkstemp(dir=path.parent, prefix=".report-", suffix=".html")
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(self.html())
-            os.chmod(work, 0o644)
-            os.replace(work, path)
+            replace_file(path, self.html())
         except OSError as e:
             raise InferError(f"cannot write the report {path}: {e.strerror}; choose another place") from e
         return path

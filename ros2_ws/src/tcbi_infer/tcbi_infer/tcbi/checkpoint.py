@@ -4,7 +4,6 @@ Field `z` of the state is the entry `z`, field `counts` of its field `features` 
 element of a tuple is `proposals.2.centers`.
 """
 
-import os
 import typing
 import zipfile
 from pathlib import Path
@@ -12,19 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from tcbi_contract.files import replacement
+
 FORMAT = 1
 
 
 def save(path: Path, state: Any) -> None:
-    """Write a state under a temporary name, then rename."""
+    """Write a state, whole or not at all."""
     arrays: dict[str, np.ndarray] = {"format": np.array(FORMAT)}
     _flatten(state, "", arrays)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.npz")
-    try:
-        np.savez(temporary, **arrays)  # type: ignore[arg-type]
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacement(path) as work:
+        np.savez(work, **arrays)  # type: ignore[arg-type]
 
 
 def load(path: Path, state_type: type) -> Any | None:

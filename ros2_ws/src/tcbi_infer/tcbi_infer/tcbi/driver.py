@@ -12,7 +12,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -21,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tcbi_contract.errors import describe
+from tcbi_contract.files import replace_file
 from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.goodness import goodness_of_fit, piled, strays, unfinished
@@ -231,7 +231,7 @@ class _Loop:
             self.here += 1
             self._record(time.monotonic() - began)
             if self.place is not None:
-                _replace(self.place / "generations.json", json.dumps(self.history))
+                replace_file(self.place / "generations.json", json.dumps(self.history))
                 checkpoint.save(self.place / "state.npz", self.state)
         self._tell(1.0)
 
@@ -374,12 +374,3 @@ def _generation(entry: Mapping[str, Any]) -> Generation:
     """As the history tells it."""
     notes = {k: entry[k] for k in ("alpha_supported", "floor_noise", "floor_misfit", "misfit", "best") if k in entry}
     return Generation(entry["ess"], entry["alpha"], np.asarray(entry["divergence"]), notes)
-
-
-def _replace(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.write_text(text)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
