@@ -263,7 +263,9 @@ class InferenceNode(Node):
         found = adopt.latest(self._store.folder("runs"), parent.version, use)
         if found is None:
             return child, "its size as wide as the prior: no diagnosis of this version has fitted it"
-        return adopt.offered(parent, use, found), "as the newest diagnosis fitted it"
+        fitted = adopt.offered(parent, use, found)
+        guess = "" if fitted.evidence["accepted"] else ", which did not accept it: it is a guess"
+        return fitted, f"as the newest diagnosis fitted it{guess}"
 
     # -- diagnosis ------------------------------------------------------------------------------------------------
 

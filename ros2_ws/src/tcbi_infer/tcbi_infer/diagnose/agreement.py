@@ -18,6 +18,7 @@ from tcbi_infer.compare.signals import Layout
 from tcbi_infer.diagnose.evidence import Agreement, KindValue
 from tcbi_infer.diagnose.fit import Fit, Fitter
 from tcbi_infer.diagnose.heldout import fold_indices
+from tcbi_infer.diagnose.least_squares import prior_precision
 from tcbi_infer.diagnose.problem import Problem
 
 DRAWS = 4000
@@ -27,7 +28,6 @@ DETERMINED = 0.1  # of a range: a kind that knows a parameter worse has no say
 RELEVANT = 0.2  # of a parameter's size: smaller differences between kinds harm no user
 LEAST_KINDS = 3  # of motion that know a parameter
 VARIES = 0.1  # part of the shifted values' mean square that must differ between shifts
-PRIOR = 1e-3  # of the inverse variance of a parameter, as in the fit
 
 
 def agreement(
@@ -82,7 +82,7 @@ def _steps(
     weight = fitter.precision(fit.residual, fit.scale, fit.bend)
     weighted = fitter.precision(fit.residual, fit.scale, np.zeros_like(fit.bend)) * fit.residual
     every = _common_period(problem.replay.layout)
-    prior = np.diag(np.r_[np.full(count, PRIOR), np.ones(len(fit.nuisance))])
+    prior = np.diag(prior_precision(count, len(fit.nuisance)))
     low, high = np.maximum(-fit.unit, -REACH), np.minimum(1.0 - fit.unit, REACH)
     steps, curvature, part = [], np.empty((len(folds), count)), np.zeros((len(folds), count))
     for f, fold in enumerate(folds):

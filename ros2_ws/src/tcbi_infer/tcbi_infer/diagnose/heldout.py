@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from tcbi_infer.diagnose.fit import Fit
-from tcbi_infer.diagnose.least_squares import bounded_step
+from tcbi_infer.diagnose.least_squares import bounded_step, prior_precision
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.engine import simulate
 
@@ -129,8 +129,8 @@ def discrepancy_shift(fit: Fit, misfit: float) -> tuple[np.ndarray, np.ndarray]:
       (P,) shift; (P, P) inverse curvature in unit space, of which it is a multiple of the diagonal's roots.
     """
     count = len(fit.unit)
-    prior = np.r_[np.full(count, 1e-3), np.ones(len(fit.nuisance))]
-    inverse = np.linalg.inv(fit.normal.sum(axis=0) + np.diag(prior))[:count, :count]
+    prior = np.diag(prior_precision(count, len(fit.nuisance)))
+    inverse = np.linalg.inv(fit.normal.sum(axis=0) + prior)[:count, :count]
     return np.sqrt(imitated(float(fit.square.sum()), misfit) * np.diag(inverse)), inverse
 
 

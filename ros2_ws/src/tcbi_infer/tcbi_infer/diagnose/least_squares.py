@@ -2,6 +2,8 @@
 
 import numpy as np
 
+WEAK = 1e-3  # of the inverse variance of a parameter in unit space: so that what no data tell stays where it is
+
 
 def gram(design: np.ndarray, target: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations set by set.
@@ -22,6 +24,11 @@ def gram(design: np.ndarray, target: np.ndarray, precision: np.ndarray) -> tuple
     return normal, slope
 
 
+def prior_precision(parameters: int, nuisances: int) -> np.ndarray:
+    """(parameters + nuisances,) inverse variances before any data: hardly any of parameters, 1 of nuisances."""
+    return np.r_[np.full(parameters, WEAK), np.ones(nuisances)]
+
+
 def bounded_step(normal: np.ndarray, slope: np.ndarray, unit: np.ndarray, delta: np.ndarray) -> np.ndarray:
     """The Gauss-Newton step of parameters in [0, 1] and of nuisances with unit prior.
 
@@ -35,7 +42,7 @@ def bounded_step(normal: np.ndarray, slope: np.ndarray, unit: np.ndarray, delta:
       (K,) step; a parameter that would leave its range stops at its bound while the others are solved again.
     """
     count = len(unit)
-    matrix = normal + np.diag(np.r_[np.full(count, 1e-3), np.ones(len(delta))])
+    matrix = normal + np.diag(prior_precision(count, len(delta)))
     right = slope - np.r_[np.zeros(count), delta]
     step = np.zeros(len(slope))
     fixed = np.zeros(len(slope), bool)

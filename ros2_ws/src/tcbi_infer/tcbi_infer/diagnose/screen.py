@@ -15,6 +15,7 @@ import numpy as np
 
 from tcbi_infer.diagnose.at_random import at_random
 from tcbi_infer.diagnose.fit import Fit, Fitter
+from tcbi_infer.diagnose.least_squares import prior_precision
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import Model
 from tcbi_sim.workers import Here, present
@@ -243,7 +244,7 @@ class Screen:
         self.design = design.reshape(count, -1, design.shape[-1])
         self.change = directions.change.reshape(len(directions.change), count, -1)
         self.base_count = len(base.unit)
-        prior = np.r_[np.full(self.base_count, 1e-3), np.ones(len(base.nuisance))]
+        prior = prior_precision(self.base_count, len(base.nuisance))
         weighted = self.design * self.precision[..., None]
         self.moments = Moments(
             np.einsum("sin,sim->snm", weighted, self.design, optimize=True),
