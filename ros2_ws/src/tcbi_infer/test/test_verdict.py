@@ -137,6 +137,16 @@ def test_a_richer_law_that_predicts_every_motion_better_is_named_alone():
     assert ruled(plain, dataclasses.replace(richer, error_after=1.45)).uses == ("stribeck_friction", "coulomb_friction")
 
 
+def test_a_richer_law_that_gains_hardly_more_leaves_the_name_to_the_plain_one_that_it_includes():
+    plain = evidence("load_friction", alike=("stribeck_friction",))
+    more = [g + d for g, d in zip(GAINS, (2, -1, 3, -2, 3, -1), strict=True)]
+    richer = evidence("stribeck_friction", more, 1.48, count=3, alike=("load_friction",))
+    assert sum(more) > sum(GAINS)
+    assert ruled(plain, richer).uses == ("load_friction",)
+    assert ruled(dataclasses.replace(plain, alike=()), dataclasses.replace(richer, alike=())).verdict == CANNOT_TELL
+    assert ruled(plain, dataclasses.replace(richer, error_after=1.4)).verdict == CANNOT_TELL
+
+
 @pytest.mark.parametrize(
     ("kinds", "bad", "verdict"),
     [

@@ -85,6 +85,7 @@ class Effect:
     )
     sites: Callable[[Rig], tuple[str, ...]] = everywhere
     requires: Callable[[Rig], str] = any_rig  # "" or why this rig cannot have it
+    includes: tuple[str, ...] = ()  # effects that it is where others of its parameters are null: it is a richer law
 
 
 @dataclass

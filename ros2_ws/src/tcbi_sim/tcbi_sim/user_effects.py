@@ -40,6 +40,8 @@ def unusable(effect: Effect) -> list[str]:
         value = getattr(effect, part)
         if not callable(value) and not (value is None and part in ("edit", "update")):
             faults.append(f"{part} is {value!r}, allowed is a function")
+    if not isinstance(effect.includes, tuple) or not all(isinstance(name, str) for name in effect.includes):
+        faults.append(f"includes is {effect.includes!r}, allowed is a tuple of effects' names, such as ('payload',)")
     if not isinstance(effect.parameters, tuple) or not all(isinstance(p, Parameter) for p in effect.parameters):
         faults.append("parameters must be a tuple of Parameter; write (Parameter(…),) with the comma even for one")
         return faults

@@ -87,6 +87,8 @@ def _show(name: str, rig: "Rig", args: argparse.Namespace) -> int:
     print(effect.name)
     print(textwrap.fill(effect.physics, WIDTH, initial_indent="  ", subsequent_indent="  "))
     print(textwrap.fill(f"Source: {effect.source}", WIDTH, initial_indent="  ", subsequent_indent="  "))
+    if effect.includes:
+        print(f"  Includes {', '.join(effect.includes)}")
     why_not = effect.requires(rig)
     print(f"  Not for {rig.name}: {why_not}" if why_not else f"  On {rig.name}: {_places(effect, rig)}")
     if file_of(name):
@@ -154,6 +156,7 @@ def _as_json(effect: "Effect", rig: "Rig") -> dict[str, Any]:
         "source": effect.source,
         "rig": rig.name,
         "unsuited": why_not or None,
+        "includes": list(effect.includes),
         "sites": [] if why_not else [site for site in effect.sites(rig) if site],
         "file": file_of(effect.name),
         "parameters": [

@@ -12,6 +12,7 @@ from tcbi_infer.diagnose.scatter import relinearised
 from tcbi_infer.diagnose.screen import Screen
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.diagnose.starts import start_points
+from tcbi_sim.effect import EffectUse
 from tcbi_sim.model import Model
 
 RIVAL_SIZES = (0.08, 0.16, 0.3, 0.5)  # of an effect's range
@@ -205,15 +206,13 @@ class Search:
         return here if there is here else relinearised(self.problem, there, self.sets, steps)
 
     def alike(self, uses: Sequence[int]) -> dict[str, tuple[str, ...]]:
-        """By each use's name, the others that change the signals as it does."""
-        return {
-            self.names[a]: tuple(
-                self.names[b]
-                for b in uses
-                if b != a and abs(self.screen.likeness(a, b, self.screen.data)) > self.settings.likeness
-            )
-            for a in uses
-        }
+        """By each use's name, the others that change the signals as it does, or of which one includes the other."""
+        return {self.names[a]: tuple(self.names[b] for b in uses if b != a and self._looks_like(a, b)) for a in uses}
+
+    def _looks_like(self, a: int, b: int) -> bool:
+        one, other = (self.screen.directions.models[u].uses()[-1] for u in (a, b))
+        alike = abs(self.screen.likeness(a, b, self.screen.data)) > self.settings.likeness
+        return alike or _includes(one, other) or _includes(other, one)
 
     def _starts(self, use: int) -> np.ndarray:
         fitter = self._fitter(self.screen.directions.models[use])
@@ -229,6 +228,11 @@ def refined(problem: Problem, fit: Fit, sets: np.ndarray, settings: Settings) ->
     if settings.timestep >= settings.coarse:
         return fit
     return Fitter(problem, fit.model, fit.scatter, sets, settings.timestep).polish(fit)
+
+
+def _includes(richer: EffectUse, plain: EffectUse) -> bool:
+    """Whether an effect says that it includes another one, which is at the same place."""
+    return plain.effect.name in richer.effect.includes and plain.site == richer.site
 
 
 def _effect(use: str) -> str:

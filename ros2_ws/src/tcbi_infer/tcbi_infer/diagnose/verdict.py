@@ -132,6 +132,13 @@ def _richer_twin(best: Evidence, other: Evidence) -> bool:
     return other.use in best.alike and len(other.parameters) > len(best.parameters)
 
 
+def _plainest(accepted: Sequence[Evidence]) -> Evidence:
+    """The best one, or a plainer law of the same look that the gains cannot tell from it and that errs as little."""
+    best = accepted[0]
+    plainer = [o for o in rivals(best, accepted[1:]) if _richer_twin(o, best)]
+    return next((o for o in plainer if not _lowered(o.error_after, best.error_after)), best)
+
+
 def ranked(judged: Sequence[Evidence]) -> list[Evidence]:
     """Best first; each accepted candidate with those that the held-out scores cannot tell from it."""
     accepted = [e for e in judged if e.accepted]
@@ -207,7 +214,7 @@ def _ruled(
         )
     if not accepted:
         return _none_accepted(ranking, base, kinds, unfitted, unseen, tried)
-    best = accepted[0]
+    best = _plainest(accepted)
     left, explained = best.error_after, _explained(best)
     if left > WELL_PREDICTED and explained < EXPLAINED:
         return Ruling(
@@ -217,7 +224,7 @@ def _ruled(
             f"{best.error_before:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
-    equal = indistinct(best, accepted[1:]) + better(best, ranking)
+    equal = indistinct(best, [e for e in accepted if e is not best]) + better(best, ranking)
     caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])

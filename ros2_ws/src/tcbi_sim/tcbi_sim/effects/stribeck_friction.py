@@ -41,4 +41,5 @@ EFFECT = Effect(
     ),
     apply=apply,
     update=update,
+    includes=("load_friction",),
 )
