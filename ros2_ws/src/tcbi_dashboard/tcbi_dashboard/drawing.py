@@ -76,8 +76,7 @@ class Ground:
         self._model = rig.build(0).compile()
         self._data = mujoco.MjData(self._model)
         self._joint = np.array([self._model.joint(name).qposadr[0] for name in rig.joint_names])
-        feet = [g for g in range(self._model.ngeom) if self._model.geom(g).name.endswith("_foot")]
-        self._feet = np.array(feet, int)
+        self._feet = np.array([self._model.geom(foot).id for foot in rig.foot_geoms], int)
 
     def base(
         self, joint_position: np.ndarray, attitude: np.ndarray | None, position: np.ndarray | None, scenario: Scenario

@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,22 @@ from typing import Any
 from tcbi_infer.errors import MappingError
 from tcbi_infer.readings import QUANTITIES, is_reading
 from tcbi_sim.errors import SimError, UnknownNameError
+from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNITS = {"rad": 1.0, "deg": math.pi / 180, "turn": 2 * math.pi, "N m": 1.0}
 TOP = {"rig", "joints", "task", "source", "policy", "entries", "window", "constants"}
-TOP |= {"time", "position", "command", "torque_on", "readings"}
+TOP |= {"time", "position", "command", "torque_on", "readings", "contact"}
+BODY: dict[str, tuple[int, dict[str, float]]] = {  # signals of a robot's body: how many values, and their units
+    "attitude": (4, {"1": 1.0}),  # a quaternion
+    "roll_pitch_yaw": (3, {"rad": 1.0, "deg": math.pi / 180}),  # the attitude in three angles, in its place
+    "angular_velocity": (3, {"rad/s": 1.0, "deg/s": math.pi / 180}),
+    "linear_acceleration": (3, {"m/s^2": 1.0, "g": 9.80665}),
+    "tracker": (3, {"m": 1.0, "mm": 1e-3}),
+}
+ORDERS = ("wxyz", "xyzw")  # of a quaternion
+TOP |= set(BODY)
 SIGNAL = {"column", "columns", "file", "time", "unit", "scale", "offset", "list", "pick"}
 
 
@@ -52,6 +62,9 @@ class Mapping:
     window: float = 0.0  # s, of the pieces that a log is cut into; 0: it stays whole
     constants: tuple[tuple[str, float | str], ...] = field(default=())
     readings: tuple[tuple[str, Signal], ...] = ()  # temperature or voltage, by the name of the reading
+    body: tuple[tuple[str, Signal], ...] = ()  # signals of the body, by their names in BODY; a quaternion as w x y z
+    feet: tuple[str, ...] = ()
+    contact: Signal | None = None  # above 0.5 where a foot stands
 
     def is_log(self, path: Path) -> bool:
         """Whether this path looks like a log of this mapping."""
@@ -101,13 +114,13 @@ class _Checker:
 
     def mapping(self) -> Mapping:
         c = self.content
-        rig = self._text("rig", required=True)
+        self.rig = self._rig(self._text("rig", required=True))
         joints = c.get("joints")
         if not (isinstance(joints, list) and joints and all(isinstance(j, str) for j in joints)):
             self.faults.append(f"joints: got {joints!r}, allowed is a list of names")
             joints = ["joint"]
-        elif rig:
-            self._check_rig(rig, joints)
+        elif self.rig:
+            self._check_joints(self.rig, joints)
         time = self._section("time", {"column", "unit"})
         time_column = self._name("column", time, "time.column", "time")
         time_scale = self._unit(time, "time.unit", "s", TIME_UNITS)
@@ -119,8 +132,9 @@ class _Checker:
         kind = commanded.get("kind", "position")
         if kind not in ("position", "torque"):
             self.faults.append(f"command.kind: got {kind!r}, allowed is position or torque")
+        feet, contact = self._contact()
         mapping = Mapping(
-            rig=rig,
+            rig=self.rig.name if self.rig else "",
             joints=tuple(joints),
             position=position,
             command=command,
@@ -133,23 +147,28 @@ class _Checker:
             task=self._text("task", "log"),
             source=self._text("source", "log"),
             policy_id=self._text("policy", ""),
-            window=self._not_negative("window", self.content),
+            window=self._window(),
             constants=self._constants(),
             readings=self._readings(joints),
+            body=self._body(),
+            feet=feet,
+            contact=contact,
         )
         if self.faults:
             raise MappingError(f"{self.name}: {'; '.join(self.faults)}")
         return mapping
 
-    def _check_rig(self, name: str, joints: list[str]) -> None:
+    def _rig(self, name: str) -> Rig | None:
         try:
-            rig = load_rig(name)
+            return load_rig(name) if name else None
         except SimError as e:
             self.faults.append(f"rig: {e}")
-            return
+            return None
+
+    def _check_joints(self, rig: Rig, joints: list[str]) -> None:
         if missing := [joint for joint in rig.joint_names if joint not in joints]:
             self.faults.append(
-                f"joints: got {', '.join(joints)}; the rig {name!r} has {', '.join(rig.joint_names)}, of which "
+                f"joints: got {', '.join(joints)}; the rig {rig.name!r} has {', '.join(rig.joint_names)}, of which "
                 f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
             )
 
@@ -170,7 +189,50 @@ class _Checker:
             self.faults += [f"{key}: unknown key {k!r}" for k in sorted(set(section) - allowed)]
         return section
 
-    def _signal(self, key: str, joints: int, more: set[str] | None = None) -> Signal | None:
+    def _body(self) -> tuple[tuple[str, Signal], ...]:
+        """The signals of the body that the mapping has."""
+        if {"attitude", "roll_pitch_yaw"} <= set(self.content):
+            self.faults.append("attitude and roll_pitch_yaw: both say how the body is turned, allowed is one of them")
+        found = []
+        for key, (width, units) in BODY.items():
+            signal = self._signal(key, width, {"order"} if key == "attitude" else None, units)
+            if signal is not None:
+                found.append((key, self._as_wxyz(signal) if key == "attitude" else signal))
+        return tuple(found)
+
+    def _as_wxyz(self, signal: Signal) -> Signal:
+        order = self._section("attitude", set(), report=False).get("order", ORDERS[0])
+        if order not in ORDERS:
+            self.faults.append(f"attitude.order: got {order!r}, allowed is {' or '.join(ORDERS)}")
+        if order != "xyzw":
+            return signal
+        if signal.listed:
+            x, y, z, w = signal.pick or (0, 1, 2, 3)
+            return replace(signal, pick=(w, x, y, z))
+        return replace(signal, columns=(signal.columns[3], *signal.columns[:3]))
+
+    def _contact(self) -> tuple[tuple[str, ...], Signal | None]:
+        """The feet whose contacts are in the log, and where; what counts as contact becomes 1."""
+        if "contact" not in self.content:
+            return (), None
+        section = self._section("contact", SIGNAL | {"feet", "threshold"}, report=False)
+        known = self.rig.foot_names if self.rig else ()
+        feet = section.get("feet", list(known))
+        if not isinstance(feet, list) or not feet or set(feet) != set(known):
+            self.faults.append(
+                f"contact.feet: got {feet!r}, allowed are the feet of the rig: {', '.join(known) or '–'}"
+            )
+            feet = ["foot"]
+        threshold = section.get("threshold", 0.5)
+        if not isinstance(threshold, (int, float)) or isinstance(threshold, bool) or not 0 < threshold < math.inf:
+            self.faults.append(f"contact.threshold: got {threshold!r}, allowed is a number above 0")
+            threshold = 0.5
+        signal = self._signal("contact", len(feet), {"feet", "threshold"}, {"1": 0.5 / threshold, "N": 0.5 / threshold})
+        return tuple(feet), signal
+
+    def _signal(
+        self, key: str, joints: int, more: set[str] | None = None, units: dict[str, float] = UNITS
+    ) -> Signal | None:
         if key not in self.content:
             return None
         section = self._section(key, SIGNAL | (more or set()))
@@ -183,7 +245,7 @@ class _Checker:
         if not isinstance(columns, list) or len(columns) != expected or not all(isinstance(c, str) for c in columns):
             self.faults.append(f"{key}.columns: got {columns!r}, allowed is a list of {expected} names")
             columns = [""] * expected
-        unit = self._unit(section, f"{key}.unit", "rad", UNITS)
+        unit = self._unit(section, f"{key}.unit", next(iter(units)), units)
         return Signal(
             columns=tuple(columns),
             file=self._name("file", section, f"{key}.file"),
@@ -222,6 +284,14 @@ class _Checker:
             return tuple(v * unit for v in value)
         self.faults.append(f"{what}: got {value!r}, allowed is a number, or {joints} of them")
         return 1.0
+
+    def _window(self) -> float:
+        window = self._not_negative("window", self.content)
+        if window and self.rig and self.rig.floating:
+            self.faults.append(
+                "window: a robot that stands free begins at rest, not in the middle of a log; record short motions"
+            )
+        return window
 
     def _not_negative(self, key: str, section: dict[str, Any], name: str = "") -> float:
         value = section.get(key, 0.0)

@@ -1,7 +1,7 @@
 """A rig: a robot or a test bench, its joints and sensors, its own parameters, and how MuJoCo builds it.
 
 Naming rules that everything relies on: an actuator bears its joint's name; sensors are `position/<joint>`, `attitude`,
-`gyro`, `accelerometer`, `contact/<foot>` and `tracker`; a floating rig has the body `base_link` and stands on the body
+`gyro`, `accelerometer`, `contact/<foot>` and `tracker`; a floating rig's feet are spheres, and it stands on the body
 `ground`, of which `block_<i>` are the movable boxes.
 """
 
@@ -42,7 +42,9 @@ class Rig:
     apply: Callable[[Fields, Values, Values], None]  # writes parameters and constants into per-simulation fields
     noise: Noise
     foot_names: tuple[str, ...] = ()
+    foot_geoms: tuple[str, ...] = ()  # each foot's sphere
     floating: bool = False  # stands free on the ground
+    base: str = "base_link"  # the body with the free joint, if it is floating
     has_imu: bool = False
     own_quantities: frozenset[str] = frozenset()  # set by its parameters at every joint: as in PLACES, or back_emf
     has_torque_limit: bool = False  # of every servo or motor

@@ -18,6 +18,7 @@ import numpy as np
 
 from tcbi_sim.errors import SimError
 from tcbi_sim.fields import Fields
+from tcbi_sim.free_body import BODY_NOISE, FreeBody, read_free_body
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import FIRM_FRICTION, Noise, Rig, Values
 from tcbi_sim.rig_settings import PLACES, Setting, write
@@ -28,7 +29,7 @@ NUMBERS = {  # key: default and what it must be
     "encoder_step": (0.0, "rad, 0 or more"),
     "speed_limit": (2 * math.pi, "rad/s, above 0"),
 }
-TOP = {"model", "joints", "commands", "servo", "groups", "parameters", "constants", *NUMBERS}
+TOP = {"model", "joints", "commands", "servo", "groups", "parameters", "constants", "ground", "feet", "legs", *NUMBERS}
 SERVO = {"gain", "lag", "torque_limit"}
 PARAMETER = {"sets", "factor", "unit", "low", "high", "nominal", "scale", "description"}
 CONSTANT = {"sets", "factor", "default"}
@@ -76,13 +77,14 @@ class _Reader:
         joints = self._joints(spec)
         servo = self._servo(spec, joints, commands)
         groups = self._groups(joints)
+        body = read_free_body(self.content, spec, joints, self.faults.append)
         parameters = self._parameters(spec, joints)
         constants = self._constants(spec, joints)
         if "torque_limit" not in servo:
             self._torque_limits(spec, [*(s for _, s in parameters), *constants])
         if self.faults:
             raise RigFileError(self.path, self.faults)
-        build = functools.partial(build_spec, self._model(), joints, commands, servo)
+        build = functools.partial(build_spec, self._model(), joints, commands, servo, body)
         try:
             model = build(0).compile()
         except ValueError as e:
@@ -93,7 +95,11 @@ class _Reader:
             parameters=tuple(p for p, _ in parameters),
             build=build,
             apply=functools.partial(apply_settings, tuple(s for _, s in parameters), constants),
-            noise=Noise(joint_position=numbers["joint_noise"], encoder_step=numbers["encoder_step"]),
+            noise=Noise(
+                joint_position=numbers["joint_noise"],
+                encoder_step=numbers["encoder_step"],
+                **(BODY_NOISE if body else {}),
+            ),
             own_quantities=set_everywhere([s for _, s in parameters], joints),
             has_torque_limit=all(bool(model.actuator(j).forcelimited[0]) for j in joints),
             kind=commands,
@@ -101,6 +107,7 @@ class _Reader:
             speed_limit=numbers["speed_limit"],
             rate=numbers["rate"],
             groups=groups,
+            **(body.of_rig(model) if body else {}),
         )
 
     def _model(self) -> Path:
@@ -242,7 +249,7 @@ class _Reader:
         known = {
             "joints": joints,
             "bodies": tuple(b.name for b in spec.bodies[1:]),
-            "geoms": tuple(g.name for g in spec.geoms if g.name),
+            "geoms": ("ground", *(g.name for g in spec.geoms if g.name)),
         }[kind]
         places = section.get(kind, list(joints) if kind == "joints" else None)
         if not isinstance(places, list) or not places or not set(places) <= set(known):
@@ -272,10 +279,19 @@ def _is_number(value: Any) -> bool:
 
 
 def build_spec(
-    model: Path, joints: tuple[str, ...], commands: str, servo: dict[str, float], blocks: int = 0
+    model: Path,
+    joints: tuple[str, ...],
+    commands: str,
+    servo: dict[str, float],
+    body: FreeBody | None = None,
+    blocks: int = 0,
 ) -> mujoco.MjSpec:
     """A fresh spec of a model file, with actuators that bear their joints' names and a sensor for each joint."""
     spec = mujoco.MjSpec.from_file(str(model))
+    for sensor in list(spec.sensors):  # their names could be those of tcbi's own
+        spec.delete(sensor)
+    if body:
+        body.add_to(spec, blocks)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for key in list(spec.keys):  # effects may add joints, which a key frame of the old size would not fit
         spec.delete(key)

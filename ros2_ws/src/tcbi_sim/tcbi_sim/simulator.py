@@ -304,10 +304,10 @@ class Simulator:
         qpos[ids, :3] = 0.0
         self._batch.forward(ids, int(mujoco.mjtStage.mjSTAGE_POS))
         normal = rotate_back(ground * [1, -1, -1, -1], np.broadcast_to([0.0, 0.0, 1.0], (len(ids), 3)))
-        feet = [self._mj.geom(f"{foot}_foot").id for foot in self.rig.foot_names]
-        radius = self._mj.geom_size[feet[0], 0]
-        depth = np.einsum("bfx,bx->bf", self._geom_xpos[np.ix_(ids, feet)], normal).min(axis=1)
-        qpos[ids, :3] = normal * (radius + CLEARANCE - depth)[:, None]
+        feet = [self._mj.geom(foot).id for foot in self.rig.foot_geoms]
+        height = np.einsum("bfx,bx->bf", self._geom_xpos[np.ix_(ids, feet)], normal)
+        lowest = (height - self._mj.geom_size[feet, 0]).min(axis=1)
+        qpos[ids, :3] = normal * (CLEARANCE - lowest)[:, None]
 
     def _settle(self, ids: np.ndarray) -> None:
         longest = max(self.scenarios[i].settle for i in ids)

@@ -220,7 +220,8 @@ def _is_piece(m: Measurement) -> bool:
 def same_motion(a: Commands, b: Commands, torque: bool = False, rate: float = 50.0) -> bool:
     """Whether two command streams ask for nearly the same motion, however they were sampled.
 
-    Of different length, they do if the beginning that both have moves, and is the same.
+    What they differ by is held against how far joints move, each about its own mean, whatever the posture. Of different
+    length, they do if the beginning that both have moves, and is the same.
 
     Args:
       a: one stream.
@@ -234,7 +235,7 @@ def same_motion(a: Commands, b: Commands, torque: bool = False, rate: float = 50
     cut = max(a.time[-1], b.time[-1]) > 1.2 * end + 0.5
     grid = np.arange(0.0, max(end, 1.0 / rate), 1.0 / rate)
     first, second = (_held(c, grid) for c in (a, b))
-    spread = max(float(np.std(first)), 0.0 if torque else SAME_TARGET)
+    spread = max(float(np.sqrt(np.var(first, axis=0).mean())), 0.0 if torque else SAME_TARGET)
     moves = float(np.std(first, axis=0).max())
     if cut and moves <= (0.0 if torque else MOVES):
         return False

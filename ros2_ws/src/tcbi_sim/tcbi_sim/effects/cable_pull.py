@@ -15,7 +15,7 @@ LENGTH = float(np.hypot(REACH, HEIGHT))
 
 def edit(spec: mujoco.MjSpec, rig: Rig, site: str) -> None:
     spec.worldbody.add_site(name=FAR_END, pos=[REACH, 0, rig.stand_height + HEIGHT], size=[0.005] * 3)
-    spec.body("base_link").add_site(name=TRUNK_END, size=[0.003] * 3)
+    spec.body(rig.base).add_site(name=TRUNK_END, size=[0.003] * 3)
     cable = spec.add_tendon(name=CABLE, width=0.002, rgba=[0.1, 0.1, 0.1, 1])
     cable.springlength = [0, 0]
     cable.wrap_site(FAR_END)

@@ -10,7 +10,7 @@ from tcbi_sim.rig import Rig
 
 
 def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
-    trunk = fields.body("base_link")
+    trunk = fields.body(rig.base)
     mass, center = fields.model["body_mass"], fields.model["body_ipos"]
     added, old = values["mass"], mass[:, trunk].copy()
     place = np.stack([values["x"], values["y"], np.full_like(added, 0.03)], axis=-1)

@@ -1,5 +1,7 @@
 """Ground or feet that give way."""
 
+import numpy as np
+
 from tcbi_sim.effect import Effect, Values, floating_rig
 from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
@@ -7,7 +9,7 @@ from tcbi_sim.rig import Rig
 
 
 def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
-    ground = [g for g in range(fields.mj.ngeom) if fields.mj.geom(g).contype[0] == 1]
+    ground = np.flatnonzero(fields.mj.geom_bodyid == fields.body("ground"))
     fields.model["geom_solref"][:, ground, 0] += values["time_constant"][:, None]
     fields.model["geom_solimp"][:, ground, 2] += values["depth"][:, None]
 

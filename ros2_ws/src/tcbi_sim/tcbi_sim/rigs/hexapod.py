@@ -11,6 +11,7 @@ import numpy as np
 
 from tcbi_contract.names import IMU_FRAME, JOINTS, LEG_JOINTS, LEGS
 from tcbi_sim.fields import Fields
+from tcbi_sim.ground import GROUND, add_ground
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import FIRM_FRICTION, Noise, Rig, Values
 
@@ -22,9 +23,9 @@ SIDES = {
     "rm": "right middle",
     "rr": "right rear",
 }
-GROUND, ROBOT = 1, 2  # collision bits
+ROBOT = 2  # collision bit of its parts
 TRUNK_COLOR, LINK_COLOR = [0.16, 0.20, 0.27, 1.0], [0.93, 0.60, 0.20, 1.0]
-FOOT_COLOR, BLOCK_COLOR = [0.08, 0.08, 0.09, 1.0], [0.55, 0.45, 0.35, 1.0]
+FOOT_COLOR = [0.08, 0.08, 0.09, 1.0]
 
 
 @functools.cache
@@ -60,6 +61,7 @@ def hexapod_rig() -> Rig:
         name="hexapod",
         joint_names=JOINTS,
         foot_names=LEGS,
+        foot_geoms=tuple(f"{leg}_foot" for leg in LEGS),
         parameters=(
             parameter("friction", "1", "linear", "sliding friction between foot and ground"),
             parameter("mass", "kg", "linear", "mass of the whole robot"),
@@ -129,17 +131,6 @@ def _add_scene(spec: mujoco.MjSpec, blocks: int) -> None:
     contact, friction = dimensions()["contact"], dimensions()["nominal"]["friction"]
     rubbing = [friction, contact["torsional_friction"], contact["rolling_friction"]]
     spec.add_texture(
-        name="grid",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        width=256,
-        height=256,
-        rgb1=[0.86, 0.88, 0.90],
-        rgb2=[0.78, 0.81, 0.84],
-    )
-    material = spec.add_material(name="grid", texrepeat=[5, 5], texuniform=True)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
-    spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
@@ -149,26 +140,7 @@ def _add_scene(spec: mujoco.MjSpec, blocks: int) -> None:
         rgb2=[0.70, 0.78, 0.86],
     )
     spec.worldbody.add_light(pos=[0.5, -0.5, 2.0], dir=[-0.25, 0.25, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    ground = spec.worldbody.add_body(name="ground")
-    same = dict(
-        contype=GROUND,
-        conaffinity=ROBOT,
-        condim=4,  # with torsion: a foot that turns on its rubber cap rubs, too
-        friction=rubbing,
-        priority=1,
-        solref=contact["solref"],
-        solimp=contact["solimp"],
-    )
-    ground.add_geom(name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[10, 10, 0.05], material="grid", **same)
-    for i in range(blocks):
-        ground.add_geom(
-            name=f"block_{i}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[0.05, 0.05, 0.03],
-            pos=[0, 0, -5 - i],
-            rgba=BLOCK_COLOR,
-            **same,
-        )
+    add_ground(spec, blocks, ROBOT, rubbing, contact["solref"], contact["solimp"])
 
 
 def _solid(**extra: Any) -> dict[str, Any]:
