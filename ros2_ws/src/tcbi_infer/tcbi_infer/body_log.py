@@ -55,7 +55,7 @@ def body_signals(tables: Tables, mapping: Mapping, zero: int, time: np.ndarray, 
 def _face_forward(found: dict[str, Any]) -> None:
     """Turn attitudes and places about the vertical, so that the first attitude has no yaw."""
     yaw = roll_pitch_yaw(found["attitude"][0])[2]
-    found["attitude"] = multiply(quaternion_from_rpy(0.0, 0.0, -yaw), found["attitude"])
+    found["attitude"] = multiply(quaternion_from_rpy(*np.array([0.0, 0.0, -yaw])), found["attitude"])
     if "position" in found:
         x, y, z = found["position"].T
         found["position"] = np.stack([np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x, z], axis=-1)

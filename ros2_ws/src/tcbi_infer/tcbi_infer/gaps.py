@@ -4,8 +4,8 @@ A simulation gets the commands that were recorded, the last one being held. A ro
 and goes limp after two periods without. Where several are missing, or one came so late, it was told something else, or
 nothing; either way the error says nothing about the model from the moment the first was due, and to the end, since what
 the robot did in between stays in its feet, its place and its posture. One missing command counts as never sent, and is
-said; one that came a little late acts when it came. A test bench may be told only what changes, so that nothing is
-missing from its commands.
+said; one that came a little late acts when it came. A test bench, or any log of commands that act at once, may hold
+only what changes, so that nothing is missing from its commands.
 """
 
 from dataclasses import dataclass
@@ -80,11 +80,16 @@ def untold(m: Measurement) -> list[Gap]:
         if not np.any((time > gap.begin) & (time < gap.end)):
             later = time[time >= gap.end]
             found.append(Gap(gap.begin, float(later[0]) + ramp if len(later) else np.inf))
-    if m.foot_names:
+    if _flows(m):
         end = min(m.scenario.duration, float(m.time[-1]))
         period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         found += [Gap(gap.begin + period, gap.end + ramp) for gap in command_gaps(m.commands, end)]
     return found
+
+
+def _flows(m: Measurement) -> bool:
+    """Whether commands came in a steady flow: to a robot on feet, as ramps; of steps a log may hold the changes alone."""
+    return bool(m.foot_names) and m.commands.ramp > 0
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ def unusable(m: Measurement, time: np.ndarray) -> Unusable:
     signals: dict[str, np.ndarray] = {}
     for name, begin, stop in m.gaps:
         signals[name] = signals.get(name, np.zeros(len(time), bool)) | _around(Gap(begin, stop), time)
-    if not m.foot_names:
+    if not _flows(m):
         return Unusable(samples, samples | averages, signals, tuple(sentences))
     end = min(m.scenario.duration, float(m.time[-1]))
     for gap in command_gaps(m.commands, end)[:1]:

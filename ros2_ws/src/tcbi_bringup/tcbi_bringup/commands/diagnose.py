@@ -173,7 +173,8 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
         print(f"next: ./tcbi add {part} --model {d.model}              # explains a part; then diagnose that version")
     if not added and d.verdict == CANNOT_TELL and sum(e.accepted for e in d.ranking) > 1:
         print(
-            "next: ./tcbi diagnose BAG… --add              # tries each of them beside the other: both may be missing"
+            f"next: ./tcbi diagnose BAG… --add --model {d.model}"
+            "              # tries each of them beside the other: both may be missing"
         )
     fitted = [e.use for e in d.ranking if e.refined]
     if not added and d.uses and d.uses[0] in fitted and not objection(d.to_json(), d.uses[0]):

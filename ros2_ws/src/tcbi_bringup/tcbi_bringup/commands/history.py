@@ -1,6 +1,8 @@
 """`./tcbi history`: the error of each model version on rollouts that no fit has seen."""
 
 import argparse
+import math
+from collections.abc import Mapping
 
 from tcbi_bringup.commands import console
 
@@ -74,10 +76,18 @@ def run(args: argparse.Namespace) -> int:
     console.table("", ["model", "parent", "effects", "error / noise floor"], rows)
     floor = "the noise floor" + ", estimated where no motion was repeated" * estimated
     print(f"1 is {floor}; – where no rollout unseen by the fits was compared.")
-    known = [(error, name) for name, _, _, error in rows if error == error]
-    if len(known) > 1 and min(known)[1] != versions[-1].version:
-        print(f"{min(known)[1]} errs least; {versions[-1].version} is the newest, which commands take without --model")
     if not measured:
         print(KEPT)
+    elif told := _errs_less({name: error for name, _, _, error in rows}, versions[-1].version):
+        print(told)
     print(f"report: {path}")
     return 0
+
+
+def _errs_less(errors: Mapping[str, float], newest: str) -> str:
+    """Which version errs least, where that is not the newest."""
+    known = {name: error for name, error in errors.items() if math.isfinite(error)}
+    best = min(known, key=lambda name: known[name], default=newest)
+    if best == newest or not known[best] < errors[newest]:
+        return ""
+    return f"{best} errs least; {newest} is the newest, which commands take without --model"

@@ -20,7 +20,10 @@ from tcbi_infer.compare.replicates import by_torque, find_replicates, nearly_rep
 from tcbi_infer.compare.wiring import echo, units, wiring
 from tcbi_infer.gaps import sample_gaps, unusable
 from tcbi_sim.measurement import Measurement
+from tcbi_sim.rigs import load_rig, missing_sensors, rig_names
 
+LEAST = 10  # samples that tell anything
+SAME = 1e-9  # rad: what differs by less is the same reading again
 HELD = 0.4  # share of repeated samples in motion that is no chance
 SIGNALS = ("attitude", "angular_velocity", "linear_acceleration", "contact", "position")  # that may be missing
 FEW_GAPS = 5  # that are told each; a stream with more comes in bursts
@@ -58,16 +61,22 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
 def to_mend(measurements: Sequence[Measurement]) -> list[str]:
     """Findings to which no physics must be fitted: wrong units or commands that most rollouts share, and joints that
     all rollouts together show to be wired wrongly."""
-    ordered = [(m, Following(m)) for m in measurements if _ordered(m)]
+    replayed = [m for m in measurements if len(m.commands.time)]  # the others are left out anyway
+    ordered = [(m, Following(m)) for m in replayed if _ordered(m)]
     findings = []
     for m, following in ordered:
         found = [*units(m, following), *echo(m, following)]
         findings.append([(re.sub(r"\d+", "", finding), finding) for finding in found])
     shared = Counter(kind for own in findings for kind in dict(own))
     wired = wiring(*zip(*ordered, strict=True)) if ordered else []
-    often = [[*(finding for kind, finding in own if shared[kind] > len(measurements) / 2), *wired] for own in findings]
+    often = [[*(finding for kind, finding in own if shared[kind] > len(replayed) / 2), *wired] for own in findings]
     sound = [m for m, _ in ordered]
     return [_sentence(finding, who, sound) for finding, who in _by_finding(often).items()]
+
+
+def _is_copy(m: Measurement, first: Measurement) -> bool:
+    both = min(len(m.time), len(first.time))
+    return both >= LEAST and np.array_equal(m.joint_position[:both], first.joint_position[:both])
 
 
 def _wired(measurements: Sequence[Measurement], followings: Sequence[Following]) -> list[list[str]]:
@@ -115,16 +124,15 @@ def unchecked(measurements: Sequence[Measurement]) -> tuple[str, ...]:
 
 
 def _copies(measurements: Sequence[Measurement]) -> list[str]:
-    """Recordings that agree with another to the last bit."""
-    first: dict[bytes, str] = {}
+    """Recordings that agree with another to the last bit, as long as both last."""
+    firsts: list[Measurement] = []
     copies = []
     for m in measurements:
-        sensors = (m.joint_position, m.attitude, m.angular_velocity, m.linear_acceleration, m.position)
-        data = b"".join(values.tobytes() for values in sensors if values is not None)
-        if data in first:
-            copies.append((m.rollout_id, first[data]))
-        elif data:
-            first[data] = m.rollout_id
+        first = next((f for f in firsts if _is_copy(m, f)), None)
+        if first is None:
+            firsts.append(m)
+        else:
+            copies.append((m.rollout_id, first.rollout_id))
     if not copies:
         return []
     one, other = copies[0]
@@ -194,14 +202,24 @@ def _check(m: Measurement, following: Following) -> list[str]:
         *([] if wrong else [*_spikes(m), *_frozen(m)]),
         *echo(m, following),
         *_lag(following),
+        *_not_simulated(m),
         *check_imu(m),
         *check_body(m),
     ]
 
 
+def _not_simulated(m: Measurement) -> list[str]:
+    """Signals of the body that the rig's model has no sensor for."""
+    if m.rig not in rig_names():
+        return []
+    left = [name for name in missing_sensors(load_rig(m.rig)) if getattr(m, name) is not None]
+    told = ", ".join(left).replace("_", " ")
+    return [f"The rig {m.rig} has no sensor for {told}: that is not compared"] if left else []
+
+
 def _ordered(m: Measurement) -> bool:
     """Whether there are samples to look at, one after another."""
-    return len(m.time) >= 10 and bool(np.all(np.diff(m.time) > 0))
+    return len(m.time) >= LEAST and bool(np.all(np.diff(m.time) > 0))
 
 
 def _clock(m: Measurement) -> list[str]:
@@ -234,16 +252,17 @@ def _span(seconds: float) -> str:
 def _held(m: Measurement) -> list[str]:
     """A fast stream that repeats slow readings."""
     change = np.abs(np.diff(m.joint_position, axis=0))
-    if len(m.time) < 20 or not change.any():
+    changed = change[change > SAME]
+    if len(m.time) < 20 or not changed.size:
         return []
-    step = float(change[change > 1e-9].min())
+    step = float(changed.min())
     fast = max(STEPS * step, 0.1 * float(np.quantile(change.max(axis=1), 0.99)))
     width = 10
     spans = [slice(k, k + width) for k in range(0, len(change) - width, width)]
     moving = [s for s in spans if np.abs(m.joint_position[s.stop] - m.joint_position[s.start]).max() > width * fast / 2]
     if len(moving) < 3:
         return []
-    repeated = float(np.mean([np.mean(~(change[s] > 1e-9).any(axis=1)) for s in moving]))
+    repeated = float(np.mean([np.mean(~(change[s] > SAME).any(axis=1)) for s in moving]))
     if repeated < HELD:
         return []
     rate = 1.0 / float(np.median(np.diff(m.time)))

@@ -44,9 +44,10 @@ def seen_by(model: Model, models: Sequence[Model]) -> set[str]:
 
 
 def was_seen(m: Measurement, seen: Collection[str]) -> bool:
-    """Whether a rollout is among those seen, or is a piece of one that was seen whole."""
+    """Whether a rollout is among those seen, or is of a log (a piece or all of it) of which anything else was."""
+    logs = {*seen, *(PIECE.sub("", r) for r in seen)}
     piece = m.scenario.initial_joint_velocity is not None
-    return m.rollout_id in seen or (piece and PIECE.sub("", m.rollout_id) in seen)
+    return m.rollout_id in logs or (piece and PIECE.sub("", m.rollout_id) in logs)
 
 
 def not_seen(measurements: Sequence[Measurement], seen: Collection[str]) -> list[Measurement]:

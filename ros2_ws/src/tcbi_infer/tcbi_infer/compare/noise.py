@@ -98,12 +98,20 @@ def scatter(repeats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def originals(values: np.ndarray) -> list[int]:
-    """Which of (R, ...) recordings are no copy, to the last bit, of one before: a simulation repeats itself."""
+    """Which of (R, ...) recordings are no copy, to the last bit, of one before: a simulation repeats itself.
+
+    What only one of the two measured does not count.
+    """
     kept: list[int] = []
     for r in range(len(values)):
-        if not any(np.array_equal(values[r], values[k], equal_nan=True) for k in kept):
+        if not any(_is_copy(values[r], values[k]) for k in kept):
             kept.append(r)
     return kept
+
+
+def _is_copy(one: np.ndarray, other: np.ndarray) -> bool:
+    both = np.isfinite(one) & np.isfinite(other)
+    return bool(both.any() and np.array_equal(one[both], other[both]))
 
 
 def from_fast_changes(residual: np.ndarray, readings: np.ndarray | None = None, window: int = 1) -> np.ndarray:

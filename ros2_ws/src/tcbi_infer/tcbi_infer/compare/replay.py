@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from tcbi_infer.gaps import unusable
 from tcbi_sim.engine import SimulatedRollouts, simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model
-from tcbi_sim.rigs import load_rig
+from tcbi_sim.rigs import load_rig, missing_sensors
 
 LEAST_SAMPLES = 10
 SPREAD = 1.5  # sets whose lengths differ by less are simulated together
@@ -60,10 +61,12 @@ class Replay:
           WrongRigError: a rollout is of another robot.
           WrongJointsError: a rollout has other joints than its rig.
         """
-        usable = [m for m in measurements if not _useless(m)]
-        if not usable:
-            raise NothingToCompareError({m.rollout_id: _useless(m) for m in measurements})
         rig = load_rig(model.rig)
+        useless = {m.rollout_id: told for m in measurements if (told := _useless(m, rate or rig.rate))}
+        lacking: dict[str, Any] = dict.fromkeys(missing_sensors(rig))
+        usable = [dataclasses.replace(m, **lacking) for m in measurements if m.rollout_id not in useless]
+        if not usable:
+            raise NothingToCompareError(useless)
         for m in usable:
             if m.rig != model.rig:
                 raise WrongRigError(model.version, model.rig, m.rig, m.joint_names)
@@ -219,11 +222,19 @@ def _known(layout: Layout, own: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.stack([averaged[c.group] for c in layout.channels], axis=-1)
 
 
-def _useless(m: Measurement) -> str:
-    """Why a rollout cannot be replayed, or ""."""
+def _useless(m: Measurement, rate: float) -> str:
+    """Why a rollout cannot be replayed at a rate (Hz), or ""."""
     if not len(m.commands.time):
         return "has no joint_commands"
-    return f"has only {len(m.time)} samples" if len(m.time) < LEAST_SAMPLES else ""
+    if len(m.time) < LEAST_SAMPLES:
+        return f"has only {len(m.time)} samples"
+    lasts = min(m.scenario.duration, float(m.time[-1])) - float(m.time[0])
+    if lasts * rate < LEAST_SAMPLES - 1:
+        return (
+            f"lasts only {lasts:.3g} s, {rate * lasts:.1f} samples of its rig's {rate:g} Hz (is the unit of its times "
+            "right?)"
+        )
+    return ""
 
 
 def _spoilt(layout: Layout, m: Measurement, time: np.ndarray) -> np.ndarray:

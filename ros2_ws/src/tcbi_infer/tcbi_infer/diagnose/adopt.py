@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from tcbi_contract.files import replace_file
+from tcbi_contract.plain import plain
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import Diagnosis
 from tcbi_infer.diagnose.settings import Settings
@@ -101,7 +102,8 @@ def objection(diagnosis: Mapping[str, Any], use: str) -> str:
         return ""
     return (
         f"{use} is not offered for use. {' '.join(told)} See the values in the report, and look for what else "
-        "differs between these motions; or add it all the same with `./tcbi add --anyway`"
+        "differs between these motions; or add it all the same with "
+        f"`./tcbi add {use} --anyway`"
     )
 
 
@@ -169,13 +171,22 @@ def remember(diagnosis: Diagnosis, folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         moments = path.with_name(path.name.replace(PREFIX, MOMENTS))
         for place, text in (
-            (moments, json.dumps(diagnosis.moments_json())),
+            (moments, json.dumps([_short(plain(moment)) for moment in diagnosis.moments])),
             (path, json.dumps(diagnosis.to_json(), indent=1) + "\n"),
         ):
             replace_file(place, text)
     except OSError as e:
         raise InferError(f"cannot write {path}: {e.strerror}; free space or choose --store") from e
     return path
+
+
+def _short(value: Any) -> Any:
+    """Plain values with numbers of five digits."""
+    if isinstance(value, dict):
+        return {k: _short(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_short(v) for v in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -317,6 +317,7 @@ class _Run:
             kinds=kinds,
             untried=left,
             unsteady=apart,
+            to_mend=tuple(self.mend),
         )
 
     def _guards(self, base: Judged, after: dict[str, Judged]) -> tuple[str, ...]:

@@ -303,6 +303,7 @@ class Diagnosis:
       untestable: uses that change nothing in these rollouts.
       untried: uses of the library that were not tried.
       unsteady: that the robot does not repeat itself, in a sentence; empty where it does.
+      to_mend: what is wrong with the recordings, for which no effect was tried.
       moments: where the base model fails worst, with and without the candidates.
       claims: caveats in sentences: how the data were split, what no claim is made about.
       false_alarms: how often the search alone raises one, as simulated for this robot and these rollouts.
@@ -339,10 +340,7 @@ class Diagnosis:
     kinds: int = 0
     untried: tuple[str, ...] = ()
     unsteady: str = ""
-
-    def moments_json(self) -> list[dict[str, Any]]:
-        """The moments, to five digits."""
-        return [_short(plain(moment)) for moment in self.moments]
+    to_mend: tuple[str, ...] = ()
 
     @property
     def headline(self) -> str:
@@ -353,6 +351,8 @@ class Diagnosis:
             return UNEXPLAINED
         if self.verdict != CANNOT_TELL:
             return HEADLINES[self.verdict]
+        if self.to_mend:
+            return "The recordings look wrong: no effect was tried"
         if self.nothing_held_out or (self.unsteady and not self.uses):
             return "These rollouts cannot tell"
         if in_doubt(self.base.converged, (self.base.held_out or (self.base.error_before,))[0], self.ranking):
@@ -383,15 +383,6 @@ class Diagnosis:
             "reassuring": self.reassuring,
             **fields, "ranking": ranking, "base": self.base.to_json(),
         })  # fmt: skip
-
-
-def _short(value: Any) -> Any:
-    """Plain values with numbers of five digits."""
-    if isinstance(value, dict):
-        return {k: _short(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_short(v) for v in value]
-    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def step_label(name: str) -> str:

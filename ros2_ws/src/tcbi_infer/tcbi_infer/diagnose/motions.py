@@ -22,6 +22,7 @@ TASK = "balance"  # on a plain slope, without blocks
 GAITS_TO_LEARN = ("steps", "sinus", "tripod", "squat", "twist")
 SLOPE, TURN = 0.12, 2.4  # rad: of the ground, and between the directions in which it falls under one gait and the next
 SHORTEST_S, LONGEST_S = 2.0, 8.0
+LEAST_COMMANDS = 40  # of a plan, however slowly the recordings were commanded
 GENTLE = 0.8  # of the largest position and speed seen
 WORDS = {
     "sweep": "slowly from one end to the other and back",
@@ -97,7 +98,8 @@ def _plans(rig: Rig, measurements: Sequence[Measurement], duration: float) -> li
     first = measurements[0]
     targets = np.concatenate([m.commands.target for m in measurements])
     intervals = np.concatenate([np.diff(m.commands.time) for m in measurements])
-    period = float(np.median(intervals)) if len(intervals) else CONTROL_PERIOD_S
+    recorded = float(np.median(intervals)) if len(intervals) else CONTROL_PERIOD_S
+    period = min(recorded, duration / LEAST_COMMANDS)
     low, high = targets.min(axis=0), targets.max(axis=0)
     if not np.any(high > low):
         return []  # a rig that was let go, not driven
@@ -108,7 +110,7 @@ def _plans(rig: Rig, measurements: Sequence[Measurement], duration: float) -> li
     scenario = dataclasses.replace(
         first.scenario, duration=duration, initial_joint_position=start, initial_joint_velocity=None
     )
-    return planned(scenario, middle, reach, GENTLE * fastest, period, first.commands.ramp)
+    return planned(scenario, middle, reach, GENTLE * fastest * period / recorded, period, first.commands.ramp)
 
 
 def planned(

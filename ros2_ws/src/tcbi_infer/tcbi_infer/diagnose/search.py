@@ -94,7 +94,7 @@ class Search:
         starts: dict[int, np.ndarray] = {}
         for u in map(int, np.argsort(-self.worth)):
             name = _effect(self.names[u])
-            if name in seen or len(losses) == self.settings.further:
+            if name in seen or len(losses) == self.settings.further or not self.settings.refine:
                 continue
             seen.add(name)
             self.progress(f"looking for {self.names[u]} elsewhere", 0.95)

@@ -65,11 +65,11 @@ def accept(evidence: Evidence, threshold: float, unfitted: float) -> tuple[bool,
         return False, "its fit did not converge"
     if not np.isfinite(evidence.error_after):
         return False, f"its fit diverges {_where(evidence)}"
+    if _lowered(evidence.error_after, unfitted):
+        return False, f"the model as it was, not fitted at all, errs less ({unfitted:.1f} times the noise floor)"
     if not _lowered(evidence.error_before, evidence.error_after) and not shows_in(evidence):
         contradicted = evidence.held_out and _lowered(*evidence.held_out)
         return False, CONTRADICTED if contradicted else "it hardly lowers the error"
-    if _lowered(evidence.error_after, unfitted):
-        return False, f"the model as it was, not fitted at all, errs less ({unfitted:.1f} times the noise floor)"
     return True, ""
 
 
@@ -132,21 +132,25 @@ def _richer_twin(best: Evidence, other: Evidence) -> bool:
     return other.use in best.alike and len(other.parameters) > len(best.parameters)
 
 
-def _plainest(accepted: Sequence[Evidence]) -> Evidence:
+def _plainest(accepted: Sequence[Evidence]) -> Evidence | None:
     """The best one, or a plainer law of the same look that the gains cannot tell from it and that errs as little."""
+    if not accepted:
+        return None
     best = accepted[0]
     plainer = [o for o in rivals(best, accepted[1:]) if _richer_twin(o, best)]
     return next((o for o in plainer if not _lowered(o.error_after, best.error_after)), best)
 
 
 def ranked(judged: Sequence[Evidence]) -> list[Evidence]:
-    """Best first; each accepted candidate with those that the held-out scores cannot tell from it."""
+    """Best first, but a plainer law that does as well; each accepted one with those that gains cannot tell from it."""
     accepted = [e for e in judged if e.accepted]
     marked = []
     for e in judged:
         near = {r.use for r in rivals(e, [o for o in accepted if o is not e])} if e.accepted else set()
         marked.append(dataclasses.replace(e, confused_with=tuple(sorted(near | set(e.alike)))))
-    return sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
+    order = sorted(marked, key=lambda e: (not e.accepted, not e.refined, -e.elpd_gain))
+    best = _plainest([e for e in order if e.accepted])
+    return [e for e in order if e is best] + [e for e in order if e is not best]
 
 
 def rule(
@@ -214,7 +218,7 @@ def _ruled(
         )
     if not accepted:
         return _none_accepted(ranking, base, kinds, unfitted, unseen, tried)
-    best = _plainest(accepted)
+    best = accepted[0]
     left, explained = best.error_after, _explained(best)
     if left > WELL_PREDICTED and explained < EXPLAINED:
         return Ruling(
@@ -224,7 +228,7 @@ def _ruled(
             f"{best.error_before:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
             f"{100 * max(explained, 0):.0f} % of the excess.",
         )
-    equal = indistinct(best, [e for e in accepted if e is not best]) + better(best, ranking)
+    equal = indistinct(best, accepted[1:]) + better(best, ranking)
     caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])

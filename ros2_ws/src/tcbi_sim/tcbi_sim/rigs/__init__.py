@@ -45,6 +45,12 @@ def rig_names() -> tuple[str, ...]:
     return tuple(dict.fromkeys([*RIGS, *user_rigs()]))
 
 
+def missing_sensors(rig: Rig) -> tuple[str, ...]:
+    """The fields of a measurement that a rig's simulation does not have."""
+    imu = () if rig.has_imu else ("attitude", "angular_velocity", "linear_acceleration")
+    return (*imu, *(() if rig.foot_names else ("contact",)), *(() if rig.floating else ("position",)))
+
+
 def load_rig(name: str) -> Rig:
     """The rig of this name.
 
