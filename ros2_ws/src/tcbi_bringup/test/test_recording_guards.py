@@ -14,7 +14,7 @@ from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard, to_mend
 from tcbi_infer.compare.signals import Layout, reference
 from tcbi_policy.gaits import Gait
-from tcbi_sim.measurement import Measurement
+from tcbi_sim.measurement import Commands, Measurement
 from tcbi_sim.model import base_model
 
 LATENCY = "command_latency"
@@ -286,3 +286,8 @@ def test_one_clock_that_leads_is_taken_out_of_all_rollouts_and_a_sound_one_is_le
     assert shifts == pytest.approx([0.3 - float(np.median(lag))] * 4, abs=0.02)
     mixed = aligned([late(clean[0], -0.3), *clean[1:]]).measurements
     assert all(a.time[0] == m.time[0] for a, m in zip(mixed[1:], clean[1:], strict=True))
+
+
+def test_recordings_without_commands_keep_no_good_ones_from_a_diagnosis(clean):
+    mute = [dataclasses.replace(m, commands=Commands(np.empty(0), np.empty((0, 18)))) for m in clean]
+    assert to_mend([*mute, *mute, *clean]) == []

@@ -88,7 +88,7 @@ def untold(m: Measurement) -> list[Gap]:
 
 
 def _flows(m: Measurement) -> bool:
-    """Whether commands came in a steady flow: to a robot on feet, as ramps; of steps a log may hold the changes alone."""
+    """Whether commands came in a steady flow: ramps, to a robot on feet; of steps a log may hold the changes alone."""
     return bool(m.foot_names) and m.commands.ramp > 0
 
 

@@ -51,6 +51,8 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
     time = (stamp[order] - zero) / 1e9
     commands = _commands(tables, mapping, zero, int(stamp[order[-1]]), rows[0], notes)
     readings = within(_readings(tables, mapping, zero), 0.0, float(time[-1]))
+    free = load_rig(mapping.rig).floating
+    stands = free and len(commands.time) and not mapping.torque_commands  # held by the command in force
     body = body_signals(tables, mapping, zero, time, notes)
     return Measurement(
         rollout_id=rollout_name(log),
@@ -58,8 +60,8 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
         scenario=Scenario(
             task=mapping.task,
             duration=float(time[-1]),
-            initial_joint_position=tuple(float(x) for x in rows[0]),
-            settle=STANDS_S if load_rig(mapping.rig).floating else 0.0,
+            initial_joint_position=tuple(float(x) for x in (commands.target[0] if stands else rows[0])),
+            settle=STANDS_S if free else 0.0,
             constants=_constants(mapping, tables),
         ),
         policy_id=mapping.policy_id,

@@ -5,11 +5,13 @@ import re
 
 import numpy as np
 import pytest
+from bench_recordings import BASE, record
 from legged_cases import NOISE, walk
 
 from tcbi_infer.compare import comparison as module
 from tcbi_infer.compare.comparison import compare, error_figure
 from tcbi_infer.compare.errors import CompareError
+from tcbi_infer.compare.guards import guard
 from tcbi_infer.compare.history import history
 from tcbi_infer.compare.ladder import explained, ladder, lineage, unexplained
 from tcbi_infer.report import Report, add_comparison, file_name
@@ -170,3 +172,32 @@ def test_what_an_ancestor_was_fitted_to_counts_as_seen():
 def test_reports_of_other_rollouts_have_other_names():
     names = {file_name("compare", "hexapod-v1", r) for r in (("a", "b"), ("a", "c"), ("a",), ())}
     assert len(names) == 4 and file_name("compare", "v", ("a", "b")) == file_name("compare", "v", ("b", "a"))
+
+
+def test_what_lasts_a_few_samples_only_is_refused_with_the_unit_of_its_times_in_doubt():
+    (m,) = record(base_model("servo_bench"), BASE)[:1]
+    hasty = dataclasses.replace(m, time=m.time / 1000, scenario=dataclasses.replace(m.scenario, duration=0.005))
+    with pytest.raises(CompareError, match=r"lasts only 0\.005 s, .*is the unit of its times right"):
+        compare(base_model("servo_bench"), [hasty])
+
+
+def test_signals_that_the_rig_has_no_sensor_for_are_left_out_and_told():
+    (m,) = record(base_model("servo_bench"), BASE)[:1]
+    turned = dataclasses.replace(m, attitude=np.tile([1.0, 0, 0, 0], (len(m.time), 1)))
+    found = compare(base_model("servo_bench"), [turned], particles=0)
+    assert [s.name for s in found.signals] == [s.name for s in compare(base_model("servo_bench"), [m]).signals]
+    assert any("servo_bench has no sensor for attitude: that is not compared" in told for told in found.guards)
+
+
+def test_a_joint_that_changes_by_rounding_alone_is_looked_at_all_the_same():
+    (m,) = record(base_model("servo_bench"), BASE)[:1]
+    still = dataclasses.replace(m, joint_position=1e-12 * np.random.default_rng(0).random(m.joint_position.shape))
+    assert isinstance(guard([still]), list)
+
+
+def test_a_copy_that_was_cut_is_no_repeat():
+    (m,) = record(base_model("servo_bench"), BASE)[:1]
+    half = len(m.time) // 2
+    cut = dataclasses.replace(m, rollout_id="cut", time=m.time[:half], joint_position=m.joint_position[:half])
+    assert any("again to the last bit" in told for told in guard([m, cut]))
+    assert not compare(base_model("servo_bench"), [m, cut], particles=0).floor.from_replicates

@@ -205,6 +205,6 @@ def test_no_effect_is_tried_on_a_mirrored_joint_unless_it_is_insisted_on():
     found = diagnose(base, mirrored, uses=["command_latency"])
     assert (found.verdict, found.uses, found.ranking) == ("cannot_tell", (), ())
     assert "its sign may be mirrored" in found.statement and "no effect was tried" in found.statement
-    assert found.next_motions == ()
+    assert found.next_motions == () and found.headline == "The recordings look wrong: no effect was tried"
     insisted = diagnose(base, mirrored, uses=["command_latency"], settings=Settings(trust_recording=True))
     assert insisted.verdict == "outside_library" and "no effect was tried" not in insisted.statement

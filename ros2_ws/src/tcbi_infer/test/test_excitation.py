@@ -144,3 +144,12 @@ def test_the_best_is_to_be_told_from_each_of_its_rivals(monkeypatch, uses, fits,
     found = excitation.between(None, list(uses), "base", {use: f"fit of {use}" for use in fits}, ["a motion"], 0.005)
     assert list(found) == [names for names, _ in asked] == pairs
     assert all(fitted == (f"fit of {a}", f"fit of {b}" if b else "base") for (a, b), fitted in asked)
+
+
+def test_a_bench_that_was_commanded_slowly_gets_motions_with_commands():
+    slow = [
+        dataclasses.replace(m, commands=Commands(np.arange(5) * 20.0, np.linspace(-0.5, 0.5, 5)[:, None]))
+        for m in record(base_model("servo_bench"), BASE)[:2]
+    ]
+    ready = ready_motions(load_rig("servo_bench"), slow)
+    assert ready and min(len(motion.commands.time) for motion in ready) >= 20

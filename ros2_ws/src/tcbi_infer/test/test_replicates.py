@@ -146,3 +146,16 @@ def test_a_rig_driven_by_torque_is_judged_by_its_torques():
 def test_swings_without_torque_repeat_each_other():
     free = Commands(np.zeros(1), np.zeros((1, 2)))
     assert same_commands(free, free, torque=True) and same_motion(free, free, torque=True)
+
+
+def test_motions_about_a_bent_posture_are_as_many_kinds_as_about_zero():
+    """How far joints stand apart says nothing of how far they move."""
+    posture, t = np.array([0.0, -1.75, 1.6, 0.75, 0.0, 0.2]), np.arange(50) * 0.1
+
+    def sine(joint: int) -> Commands:
+        targets = np.zeros((50, 6))
+        targets[:, joint] = 0.15 * np.sin(2 * np.pi * 0.5 * t)
+        return Commands(t, posture + targets)
+
+    assert same_motion(sine(1), sine(1))
+    assert not any(same_motion(sine(a), sine(b)) for a in range(6) for b in range(a))

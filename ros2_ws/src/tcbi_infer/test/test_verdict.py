@@ -17,7 +17,7 @@ from tcbi_infer.diagnose.evidence import (
     ParameterEstimate,
 )
 from tcbi_infer.diagnose.judge import at_bound, estimate
-from tcbi_infer.diagnose.verdict import accept, ranked, rule
+from tcbi_infer.diagnose.verdict import CONTRADICTED, accept, ranked, rule
 from tcbi_sim.parameter import Parameter
 
 GAINS = (40.0, 45.0, 38.0, 42.0, 41.0, 44.0)
@@ -351,3 +351,10 @@ def test_of_a_value_that_stopped_at_an_end_it_is_said_which_way_it_may_go_on(nul
     base, named = evidence(""), evidence("backlash", parameters=(estimate(depth, unit, *interval),))
     (line,) = bounds(base, [named])
     assert line.endswith(f"{words}.") and "its interval is one-sided" in line
+
+
+def test_what_the_unfitted_model_does_better_passes_not_every_test_but_one():
+    sealed = evidence("backlash", after=3.1, before=3.0, held_out=(3.0, 1.5))
+    assert accept(sealed, 3.0, 9.0) == (False, CONTRADICTED)
+    accepted, why = accept(sealed, 3.0, 1.0)
+    assert not accepted and "the model as it was" in why

@@ -148,6 +148,8 @@ def test_pieces_of_a_recording_that_a_fit_has_seen_whole_are_seen():
     lines = history([fitted_to("run")], [*pieces, *whole])
     assert lines[0].rollouts == ("other-01", "run-2026")
     assert was_seen(pieces[0], {"run-01"}) and not was_seen(whole[0], {"run"})
+    (log,) = [dataclasses.replace(m, scenario=rest) for m in recorded("run")]
+    assert was_seen(log, {"run-03"}) and was_seen(pieces[0], {"run-99"}), "cut otherwise, and the same motion"
 
 
 def test_rollouts_without_commands_are_not_counted_as_compared():
