@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from tcbi_bringup.commands import console
 
-SUMMARY = "Show the error of each model version on rollouts that no fit has seen, the noise floor being 1."
+SUMMARY = "Show the error of each model version: with bags on those that no fit has seen, without as diagnoses kept it."
 
 KEPT = (
     "Each figure is what the diagnosis of that version kept: of motions that it sealed, or held out in turn. Those of "
