@@ -14,7 +14,7 @@ EFFECT = Effect(
     name="lost_commands",
     physics=(
         "A radio link drops packets. All joints miss the same command and stay where they were for a control period. "
-        "No diagnosis simulates it, since a replay loses other commands; where repeats were recorded it may be suspected."
+        "No diagnosis simulates it, since a replay loses other commands; where repeats were recorded it is suspected."
     ),
     source="Gilbert-Elliott channel without memory; Tan et al., RSS 2018, section IV, on dropped packets",
     parameters=(Parameter("share", "1", 0.0, 0.5, 0.1, null=0.0, description="of the commands that are lost"),),
