@@ -72,7 +72,9 @@ def test_from_bags_to_the_next_version(bags, tmp_path, capsys):
     assert cli.main([str(w) for w in add_doubted]) == 1
     told = capsys.readouterr().err.splitlines()[-1]
     assert "not offered" in told and "the kinds of motion disagree" in told and "--anyway" in told
-    assert answer(capsys, *add_doubted, "--anyway")["disagreements"] == [size["statement"]]
+    assert answer(capsys, *add_doubted, "--anyway")["disagreements"] == [
+        f"{size['statement']} Its interval reaches over all of them."
+    ]
 
     added = answer(capsys, "add", "command_latency", "--rig", "servo_bench", *store)
     assert (added["model"], added["parent"], added["effect"]) == ("servo_bench-v1", "servo_bench-v0", "command_latency")

@@ -150,7 +150,8 @@ def test_a_size_on_which_the_motions_disagree_is_not_added(tmp_path):
         "use": "backlash", "refined": True, "accepted": True, "error_after": 1.2, "values": child.mean().tolist(),
         "spread": spread, "parameters": [{"name": "backlash.gap"}],
     }  # fmt: skip
-    told = {"name": "backlash.gap", "agrees": False, "statement": "The motions disagree on it."}
+    kinds = [{"kind": kind, "value": gap} for kind, gap in (("sines", 0.02), ("steps", 0.06))]
+    told = {"name": "backlash.gap", "agrees": False, "statement": "The motions disagree on it.", "kinds": kinds}
     found = {
         "model": model.version, "verdict": "effect", "statement": "", "ranking": [fitted], "rollouts": [], "sealed": [],
         "errors": {}, "floor_from_replicates": True, "agreement": {"backlash": [told]},

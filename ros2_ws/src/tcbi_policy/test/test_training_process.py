@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from training_cases import KEPT, TINY, train
 
+from tcbi_contract.files import replacement
 from tcbi_policy import training_process
 from tcbi_policy.artefact import load_policy
 from tcbi_policy.errors import TrainingError
@@ -110,8 +111,9 @@ def test_a_process_that_stands_by_ends_with_its_owner() -> None:
 
 def test_what_a_killed_training_left_half_written_is_gone_when_the_next_one_begins(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", Run(TINY, "hexapod-v0"))
-    for name in (".checkpoint.safetensors.4711", ".replay-160.npz.4711", "checkpoint.safetensors"):
-        (folder / name).touch()
+    (folder / "checkpoint.safetensors").touch()
+    for name in ("checkpoint.safetensors", "replay-160.npz"):
+        replacement(folder / name).__enter__().touch()  # and killed here
     with alone(folder):
         assert sorted(path.name for path in folder.iterdir()) == ["checkpoint.safetensors", "run.json"]
 
