@@ -2,7 +2,7 @@
 
 import numpy as np
 
-WEAK = 1e-3  # of the inverse variance of a parameter in unit space: so that what no data tell stays where it is
+WEAK = 1e-3  # inverse variance of a parameter in unit space before any data: what these do not tell stays where it is
 
 
 def gram(design: np.ndarray, target: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
