@@ -52,7 +52,7 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
     commands = _commands(tables, mapping, zero, int(stamp[order[-1]]), rows[0], notes)
     readings = within(_readings(tables, mapping, zero), 0.0, float(time[-1]))
     free = load_rig(mapping.rig).floating
-    stands = free and len(commands.time) and not mapping.torque_commands  # held by the command in force
+    held = len(commands.time) and commands.time[0] <= 0 and not mapping.torque_commands  # by the command in force
     body = body_signals(tables, mapping, zero, time, notes)
     return Measurement(
         rollout_id=rollout_name(log),
@@ -60,7 +60,7 @@ def read_log(mapping: Mapping, log: Path) -> Measurement:
         scenario=Scenario(
             task=mapping.task,
             duration=float(time[-1]),
-            initial_joint_position=tuple(float(x) for x in (commands.target[0] if stands else rows[0])),
+            initial_joint_position=tuple(float(x) for x in (commands.target[0] if free and held else rows[0])),
             settle=STANDS_S if free else 0.0,
             constants=_constants(mapping, tables),
         ),

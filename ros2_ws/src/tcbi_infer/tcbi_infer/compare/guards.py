@@ -76,7 +76,9 @@ def to_mend(measurements: Sequence[Measurement]) -> list[str]:
 
 def _is_copy(m: Measurement, first: Measurement) -> bool:
     both = min(len(m.time), len(first.time))
-    return both >= LEAST and np.array_equal(m.joint_position[:both], first.joint_position[:both])
+    pairs = [(getattr(m, name), getattr(first, name)) for name in ("joint_position", *SIGNALS)]
+    measured = [(a[:both], b[:both]) for a, b in pairs if a is not None and b is not None]
+    return both >= LEAST and all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in measured)
 
 
 def _wired(measurements: Sequence[Measurement], followings: Sequence[Following]) -> list[list[str]]:
