@@ -30,9 +30,9 @@ def test_json_has_the_contracts_keys_and_nothing_else_is_on_standard_output(bags
     assert "open loop" in captured.err
     assert found["prior"] == "flat" and found["fits"] in (True, False, None)
     claims = {"yes", "not surely", "no: little more than the prior", "cannot say"} if found["fits"] else set()
-    assert {p["told"] for p in found["parameters"]} <= claims | {
+    assert {p["identifiability"] for p in found["parameters"]} <= claims | {
         "cannot say: too few generations",
-        "not told: the model fits poorly",
+        "not identified: the model fits poorly",
     }
     assert found["settings"].items() >= {"seed": 0, "divergence": "js", "particles": 20, "generations": 2}.items()
     saved = ModelStore(tmp_path).load(found["model"])
@@ -44,7 +44,7 @@ def test_json_has_the_contracts_keys_and_nothing_else_is_on_standard_output(bags
 def test_the_table_says_of_each_parameter_whether_the_data_tell(bags, tmp_path, capsys) -> None:
     assert infer(bags, tmp_path, "--method", "paper", "--statistics", "joint_tracking") == 0
     text = capsys.readouterr().out
-    assert all(name in text for name in ("gain", "damping", "friction", "do the data tell?"))
+    assert all(name in text for name in ("gain", "damping", "friction", "identified?"))
     assert "narrows with every generation" in text and text.count("not judged") == 3
 
 

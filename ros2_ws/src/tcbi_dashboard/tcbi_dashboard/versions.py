@@ -95,7 +95,7 @@ def origin(model: Model) -> str:
         before = "flat over each parameter's range" if prior == "flat" else f"what {prior} says"
         fits = i.get("fits", not any(w.startswith("no parameters reproduce") for w in i["warnings"]))
         why = "the search was too short to tell whether the model fits" if fits is None else "the model fits poorly"
-        poorly = "" if fits else f" No parameter is called told, since {why}."
+        poorly = "" if fits else f" No parameter counts as identified, since {why}."
         return (
             f"Inferred from {_count(i['rollouts'])} by the method {i['method']}, with {i['ess']:.0f} effective "
             f"particles; its prior is {before}.{poorly}"

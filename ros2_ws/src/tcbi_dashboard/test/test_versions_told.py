@@ -71,7 +71,7 @@ def test_an_inference_says_why_no_parameter_is_called_told(store, fits, why):
     model = store.load(V2)
     inference = {**model.evidence["inference"], "fits": fits}
     told = versions.origin(dataclasses.replace(model, evidence={**model.evidence, "inference": inference}))
-    assert f"No parameter is called told, since {why}" in told
+    assert f"No parameter counts as identified, since {why}" in told
 
 
 def test_a_parameter_is_told_only_where_the_inference_is_sure_and_much_narrower_is_not_called_little(store):

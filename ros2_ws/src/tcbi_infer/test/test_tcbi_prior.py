@@ -8,7 +8,7 @@ from tcbi_cases import bench_rollouts
 
 from tcbi_infer import posterior
 from tcbi_infer.errors import InferError
-from tcbi_infer.report.inference import told_by_data
+from tcbi_infer.report.inference import identifiability
 from tcbi_infer.seen import used_before
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import METHODS
@@ -177,15 +177,15 @@ def test_a_parameter_that_is_not_told_says_what_stands_in_the_way():
     result = dataclasses.replace(infer(problem, "prior"), fits=True, ess=12.0)
     unit = Prior.of(narrow()).unit(np.random.default_rng(4).random((12, 3)))
     (e, *_) = estimates(parameters, unit, equal, prior=result.prior)
-    said = told_by_data(dataclasses.replace(e, variance_ratio=1.0), result, method)
+    said = identifiability(dataclasses.replace(e, variance_ratio=1.0), result, method)
     assert said == f"little beyond {narrow().version}'s"
     flat = dataclasses.replace(result, prior=None)
-    assert told_by_data(dataclasses.replace(e, variance_ratio=1.0), flat, method) == "no: little more than the prior"
+    assert identifiability(dataclasses.replace(e, variance_ratio=1.0), flat, method) == "no: little more than the prior"
     unsure = dataclasses.replace(e, variance_ratio=0.4)
-    assert told_by_data(unsure, flat, method) == "not surely"
-    assert told_by_data(dataclasses.replace(unsure, identified=True), flat, method) == "yes"
+    assert identifiability(unsure, flat, method) == "not surely"
+    assert identifiability(dataclasses.replace(unsure, identified=True), flat, method) == "yes"
     rests_on = dataclasses.replace(result, model=made_by("calibrated", fits=False))
-    assert told_by_data(unsure, rests_on, method) == "not told: the prior is doubtful"
+    assert identifiability(unsure, rests_on, method) == "not identified: the prior is doubtful"
 
 
 def test_variances_over_the_generations_are_compared_with_the_prior_that_was_used():

@@ -214,7 +214,7 @@ def _statistics(given: str, own: tuple[str, ...]) -> tuple[str, ...]:
 
 def as_json(result: "Result", method: "Method", version: str) -> dict[str, Any]:
     """The contract's object, and a little more."""
-    from tcbi_infer.report.inference import told_by_data
+    from tcbi_infer.report.inference import identifiability
 
     return {
         "model": version,
@@ -223,7 +223,9 @@ def as_json(result: "Result", method: "Method", version: str) -> dict[str, Any]:
         "task": result.task,
         "prior": "flat" if result.prior is None else result.model.version,
         "fits": result.fits if method.judges else None,
-        "parameters": [{**e.as_json(), "told": told_by_data(e, result, method)} for e in result.estimates],
+        "parameters": [
+            {**e.as_json(), "identifiability": identifiability(e, result, method)} for e in result.estimates
+        ],
         "ess": result.ess,
         "simulations": result.simulations,
         "seconds": result.seconds,
@@ -304,7 +306,7 @@ def _print(result: "Result", method: "Method", version: str) -> None:
         print(f"fewer than {LEAST_ESS} effective particles tell nothing; more particles or generations are needed")
     if not any(e.identified for e in result.estimates):
         beyond = "" if result.prior is None else f" beyond what {result.model.version} says"
-        nothing = f"nothing is told{beyond}, and " if method.judges else ""
+        nothing = f"nothing is identified{beyond}, and " if method.judges else ""
         print(f"{nothing}{version} is the newest version now; ./tcbi model {version} --delete undoes that")
     if method.caveat:
         print(method.caveat)

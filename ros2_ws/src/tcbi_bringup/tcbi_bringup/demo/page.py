@@ -7,7 +7,7 @@ import numpy as np
 from tcbi_bringup.demo.story import Outcome, mean_return, tilt
 from tcbi_bringup.emulated_robot.hidden_names import parts
 from tcbi_infer.report import Report, Section, Table, add_comparison, add_diagnosis, add_history, add_ladder
-from tcbi_infer.report.inference import told_by_data
+from tcbi_infer.report.inference import identifiability
 from tcbi_infer.tcbi.method import find_method
 from tcbi_policy.reward import episode_reward
 from tcbi_sim.model import Model
@@ -75,10 +75,17 @@ def _parameters(report: Report, outcome: Outcome, truth: dict[str, object]) -> N
         return
     found, method = outcome.inference, find_method(outcome.inference.method)
     rows = [
-        [e.name, e.unit, e.mean, f"{e.low90:.3g} to {e.high90:.3g}", told_by_data(e, found, method), truth.get(e.name)]
+        [
+            e.name,
+            e.unit,
+            e.mean,
+            f"{e.low90:.3g} to {e.high90:.3g}",
+            identifiability(e, found, method),
+            truth.get(e.name),
+        ]
         for e in found.estimates
     ]
-    head = ["parameter", "unit", "mean", "90 % interval", "do the data tell?", "truth"]
+    head = ["parameter", "unit", "mean", "90 % interval", "identified?", "truth"]
     text = [
         "Task-consistent Bayesian inference compares distributions of what the task is about (reward, attitude, "
         "contacts, tracking, body rates) between robot and simulation. Where the data do not tell, the interval is "

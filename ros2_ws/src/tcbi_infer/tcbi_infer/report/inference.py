@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tcbi_infer.tcbi.method import Method
     from tcbi_infer.tcbi.result import Estimate, Result
 
-HEAD = ("parameter", "unit", "mean", "sd", "90 % interval", "variance less than prior", "do the data tell?")
+HEAD = ("parameter", "unit", "mean", "sd", "90 % interval", "variance less than prior", "identified?")
 NARROW = (
     "A narrow posterior is not a right one: these curves show what the method did. Only a known truth, or an error on "
     "rollouts that were held out, shows whether it was right."
@@ -41,8 +41,10 @@ def add_inference(
       advice: what to record for parameters that are not identified; None where nobody asked.
     """
     known = truth or {}
-    told = [e.name for e in result.estimates if e.identified]
-    verdict = f"The data tell {', '.join(told)}." if told else "No parameter can be said to be told by the data."
+    identified = [e.name for e in result.estimates if e.identified]
+    verdict = (
+        f"The data identify {', '.join(identified)}." if identified else "No parameter can be said to be identified."
+    )
     head, rows, caveat = [*HEAD], posterior_rows(result, method), method.caveat
     text = [
         f"{len(result.rollouts)} rollouts of {result.task}, {result.simulations} simulated in "
@@ -52,7 +54,7 @@ def add_inference(
     if known:
         head += ["truth", "error", "inside?"]
         rows = [row + _beside(e, known) for row, e in zip(rows, result.estimates, strict=True)]
-    tone = "good" if told else "neutral"
+    tone = "good" if identified else "neutral"
     notes = list(result.warnings)
     report.add(Section("What the rollouts say", text, notes, verdict=verdict, tone=tone, table=Table(head, rows)))
     if advice:
@@ -87,22 +89,22 @@ def posterior_rows(result: "Result", method: "Method") -> list[list[Any]]:
             e.sd,
             f"{e.low90:.3g} to {e.high90:.3g}",
             f"{1 - e.variance_ratio:.0%}",
-            told_by_data(e, result, method),
+            identifiability(e, result, method),
         ]
         for e in result.estimates
     ]
 
 
-def told_by_data(estimate: "Estimate", result: "Result", method: "Method") -> str:
-    """Whether the data tell a parameter, in a few words."""
+def identifiability(estimate: "Estimate", result: "Result", method: "Method") -> str:
+    """Whether the data identify a parameter, in a few words."""
     if not method.judges:
         return "not judged by this method"
     if result.fits is None:
         return "cannot say: too few generations"
     if not result.fits:
-        return "not told: the model fits poorly"
+        return "not identified: the model fits poorly"
     if result.prior is not None and doubtful(result.model):
-        return "not told: the prior is doubtful"
+        return "not identified: the prior is doubtful"
     if result.ess < LEAST_ESS:
         return "cannot say"
     if estimate.identified:
