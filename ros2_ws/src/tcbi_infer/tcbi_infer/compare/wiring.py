@@ -24,6 +24,7 @@ UNITS = {180 / np.pi: "degrees", 4096 / (2 * np.pi): "raw encoder counts", 1023 
 STANDS = 0.2  # rad from zero, from which the sign of a joint that stands is seen
 OPPOSITE = 0.25  # of a command, that a joint at the opposite of it may be off
 SIGN = "its sign may be mirrored"
+COMMANDED = 1 / 30  # share of its command that any joint moves
 DROOP = 0.5  # share of its command that a joint at work still moves
 BEYOND = 1.5  # of a rig's joint range, which no zero offset explains
 RUSH = 5.0  # times the speed of a rig's joint without load
@@ -36,10 +37,12 @@ def units(m: Measurement, following: Following) -> list[str]:
         asked, seen = following.pairs(_found(following))
         slope = float(np.nanmedian(following.gain)) if np.isfinite(following.gain).any() else 1.0
         if following.off_unit:
-            unit = next((name for k, name in UNITS.items() if DROOP < slope / k < 1.25), "another unit than radians")
-            return [f"Joint positions move {slope:.0f} times as far as their commands: these look like {unit}"]
-        if slope < 1 / 30 and np.median(np.abs(correlation(asked, seen))) > SWAPPED:
-            return [f"Commands move {1 / slope:.0f} times as far as the joints: these look like degrees, not radians"]
+            near = ((k, name) for k, name in UNITS.items() if DROOP < slope / k < 1.25)
+            times, unit = next(near, (slope, "another unit than radians"))  # the unit's own: the same in every rollout
+            return [f"Joint positions move some {times:.0f} times as far as their commands: these look like {unit}"]
+        if slope < COMMANDED and np.median(np.abs(correlation(asked, seen))) > SWAPPED:
+            times = f"over {1 / COMMANDED:.0f} times"
+            return [f"Commands move {times} as far as the joints: these look like degrees, not radians"]
     if largest > 30 * np.pi:
         return ["Joint positions reach hundreds of radians: these look like raw encoder counts or degrees"]
     turns = by_torque(m) or (following.told and slope > DROOP)  # a joint that may turn on, or was asked to
