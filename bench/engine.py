@@ -52,7 +52,7 @@ def measure(pairs: int) -> list[dict[str, Any]]:
         simulator = Simulator(model, np.repeat(values, ROLLOUTS, axis=0), rows, STEP_S)
         for k, t in enumerate(ticks):
             simulator.path.give(float(t), np.stack([commands[i % ROLLOUTS].target[k] for i in range(len(rows))]), 0.2)
-        return simulator.path.references((np.arange(steps) + 0.5) * STEP_S)
+        return simulator.path.references((np.arange(steps) + 0.5) * STEP_S, STEP_S)
 
     given = control()
     own = [materialise(model, v) for v in values for _ in range(ROLLOUTS)]

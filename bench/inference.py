@@ -61,7 +61,7 @@ def bare(problem: Problem, particles: int) -> Callable[[], None]:
         time = float(group.measurements[0].commands.time[i])
         simulator.path.give(time, np.stack([m.commands.target[i] for m in group.measurements] * particles), 0.2)
     control = np.zeros((len(values), steps, simulator.mj.nu))
-    control[:, :, simulator._actuators] = simulator.path.references((np.arange(steps) + 0.5) * STEP_S)
+    control[:, :, simulator._actuators] = simulator.path.references((np.arange(steps) + 0.5) * STEP_S, STEP_S)
     start, everyone = batch.state.copy(), np.arange(len(values))
 
     def stepping() -> None:

@@ -12,6 +12,7 @@ from tcbi_infer.compare.replicates import repeats
 from tcbi_infer.diagnose.adopt import adopt
 from tcbi_infer.diagnose.diagnosis import diagnose
 from tcbi_infer.diagnose.evidence import EFFECT
+from tcbi_infer.diagnose.motions import standard_motions
 from tcbi_infer.diagnose.settings import QUICK
 from tcbi_infer.errors import MappingError
 from tcbi_infer.importer import read_log
@@ -53,6 +54,23 @@ def test_the_description_gives_a_robot_on_the_ground():
     assert rig.stand_height == pytest.approx(0.214)
     floors = [g.name for g in rig.build(0).worldbody.geoms]
     assert "floor" not in floors  # the model's own: scenarios tilt the one that is put in its place
+
+
+def test_it_moves_about_its_posture_and_stays_on_its_feet(described):
+    lines = "".join(f"{joint} = {angle}\n" for joint, angle in zip(JOINTS, POSTURE, strict=True))
+    (described / "quadruped.toml").write_text(DESCRIPTION.replace("[ground]", f"[posture]\n{lines}[ground]"))
+    rig = load_rig("quadruped")
+    assert rig.stand_height == pytest.approx(0.2 * np.cos(0.6) + 0.014)
+    motions = standard_motions(rig, 2.0)
+    out = simulate(
+        base_model(rig.name),
+        np.array([[1.0, 12.0, 0.7]]),
+        [m.scenario for m in motions],
+        commands=[m.commands for m in motions],
+    )
+    assert np.abs(out.joint_position[0, :, 0] - POSTURE).max() < 0.1
+    lean = np.abs(roll_pitch_yaw(out.attitude[0])[..., :2]).max()
+    assert 0.01 < lean < 0.4 and not out.diverged.any()
 
 
 def test_it_stands_and_leans_with_the_ground():

@@ -73,8 +73,8 @@ class FreeBody:
             name="tracker", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=self.base
         )
 
-    def of_rig(self, model: mujoco.MjModel) -> dict[str, Any]:
-        """What a rig has of it."""
+    def of_rig(self, model: mujoco.MjModel, posture: dict[str, float]) -> dict[str, Any]:
+        """What a rig has of it that stands in a posture, joint -> rad."""
         return {
             "floating": True,
             "has_imu": True,
@@ -83,14 +83,16 @@ class FreeBody:
             "foot_geoms": tuple(geom for _, geom in self.feet),
             "legs": dict(self.legs),
             "contact_threshold": self.contact_threshold,
-            "stand_height": self._stand_height(model),
+            "stand_height": self._stand_height(model, posture),
         }
 
-    def _stand_height(self, model: mujoco.MjModel) -> float:
-        """Base above the ground (m) where the feet stand with all joints at zero."""
+    def _stand_height(self, model: mujoco.MjModel, posture: dict[str, float]) -> float:
+        """Base above the ground (m) where the lowest foot touches it."""
         data = mujoco.MjData(model)
         data.qpos[:] = 0.0
         data.qpos[3] = 1.0
+        for joint, angle in posture.items():
+            data.joint(joint).qpos[0] = angle
         mujoco.mj_kinematics(model, data)
         feet = [model.geom(geom).id for _, geom in self.feet]
         return float(-(data.geom_xpos[feet, 2] - model.geom_size[feet, 0]).min())

@@ -51,13 +51,19 @@ class Rig:
     kind: str = "position"  # what a command is: a servo's position, or torque
     joint_range: float = np.pi  # rad, either side of zero
     speed_limit: float = 2 * np.pi  # rad/s, of a joint without load
-    stand_height: float = 0.0  # m, trunk above the ground in the neutral stance
+    posture: tuple[float, ...] = ()  # rad, of each joint at rest; empty: zero
+    stand_height: float = 0.0  # m, trunk above the ground in that posture
     contact_threshold: float = 0.0  # N
     rate: float = 50.0  # Hz, of its sensors
     groups: dict[str, tuple[str, ...]] = field(
         default_factory=dict
     )  # names for sets of joints, e.g. "coxa", "left middle leg"
     legs: dict[str, tuple[str, ...]] = field(default_factory=dict)  # leg -> its joints
+
+    @property
+    def at_rest(self) -> np.ndarray:
+        """(J,) rad, the posture."""
+        return np.array(self.posture) if self.posture else np.zeros(len(self.joint_names))
 
     def index(self, joint: str) -> int:
         """Position of a joint in the rig's order."""

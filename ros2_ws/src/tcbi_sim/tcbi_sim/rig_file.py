@@ -29,7 +29,8 @@ NUMBERS = {  # key: default and what it must be
     "encoder_step": (0.0, "rad, 0 or more"),
     "speed_limit": (2 * math.pi, "rad/s, above 0"),
 }
-TOP = {"model", "joints", "commands", "servo", "groups", "parameters", "constants", "ground", "feet", "legs", *NUMBERS}
+TOP = {"model", "joints", "commands", "posture", "servo", "groups", "parameters", "constants", *NUMBERS}
+TOP |= {"ground", "feet", "legs"}
 SERVO = {"gain", "lag", "torque_limit"}
 PARAMETER = {"sets", "factor", "unit", "low", "high", "nominal", "scale", "description"}
 CONSTANT = {"sets", "factor", "default"}
@@ -89,6 +90,7 @@ class _Reader:
             model = build(0).compile()
         except ValueError as e:
             raise RigFileError(self.path, [f"MuJoCo refuses {self._model()}: {' '.join(str(e).split())}"]) from e
+        posture = self._posture(joints)
         return Rig(
             name=self.path.stem,
             joint_names=joints,
@@ -107,7 +109,8 @@ class _Reader:
             speed_limit=numbers["speed_limit"],
             rate=numbers["rate"],
             groups=groups,
-            **(body.of_rig(model) if body else {}),
+            posture=tuple(posture.values()),
+            **(body.of_rig(model, posture) if body else {}),
         )
 
     def _model(self) -> Path:
@@ -145,6 +148,20 @@ class _Reader:
         if slashed := [j for j in joints if "/" in str(j)]:
             self.faults.append(f"joints: got {', '.join(map(repr, slashed))}, allowed are names without /; rename them")
         return tuple(j for j in joints if j in hinges)
+
+    def _posture(self, joints: tuple[str, ...]) -> dict[str, float]:
+        """Each joint's angle (rad): as listed, or in the key frame that is named, or in the model's first one."""
+        model = mujoco.MjModel.from_xml_path(str(self._model()))
+        keys = [model.key(k).name for k in range(model.nkey)]
+        given = self.content.get("posture", keys[0] if keys else {})
+        if isinstance(given, str) and given in keys:
+            angles = model.key_qpos[keys.index(given)]
+            return {joint: float(angles[model.joint(joint).qposadr[0]]) for joint in joints}
+        if isinstance(given, dict) and set(given) <= set(joints) and all(map(_is_number, given.values())):
+            return {joint: float(given.get(joint, 0.0)) for joint in joints}
+        named = f"the name of a key frame of the model ({', '.join(filter(None, keys)) or 'none has one'})"
+        fault = f"posture: got {given!r}, allowed is {named}, or a section with angles (rad) of the joints"
+        raise RigFileError(self.path, [fault])
 
     def _servo(self, spec: mujoco.MjSpec, joints: tuple[str, ...], commands: str) -> dict[str, float]:
         servo = self.content.get("servo", {})

@@ -280,7 +280,7 @@ class Simulator:
         qpos, qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         for i in ids:
             posture, velocity = self.scenarios[i].initial_joint_position, self.scenarios[i].initial_joint_velocity
-            self._hold[i] = 0.0 if posture is None else np.asarray(posture)
+            self._hold[i] = self.rig.at_rest if posture is None else np.asarray(posture)
             if velocity is not None:
                 qvel[i, self._dofs] = velocity
         # where a servo is mounted off its zero, the link stands off by as much
@@ -334,7 +334,7 @@ class Simulator:
         steps = samples * self.per_sample
         begins = (self._taken * self.per_sample + np.arange(steps) + SURELY) * self.timestep
         control = np.zeros((self.count, steps, self._mj.nu))
-        control[:, :, self._actuators] = self.path.references(begins)
+        control[:, :, self._actuators] = self.path.references(begins, self.timestep)
         return control
 
     def _advance(self, control: np.ndarray, forces: bool = True) -> Samples:

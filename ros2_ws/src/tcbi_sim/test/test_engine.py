@@ -155,6 +155,22 @@ def test_each_rollout_has_its_own_ramp_whatever_the_others_have(effects):
         np.testing.assert_array_equal(together.joint_position[:, s], alone.joint_position[:, 0])
 
 
+def test_a_command_that_comes_within_a_step_counts_for_the_rest_of_it():
+    """A latency acts to the instant: in whole steps no fit could follow it."""
+    model = base_model("servo_bench").with_effect("command_latency")
+    asked = Commands(np.array([0.1, 0.3]), np.array([[0.8], [-0.4]]), ramp=0.0)
+
+    def moved(delay: float) -> np.ndarray:
+        values = np.array([[4e-3, 0.03, 1e-4, delay]])
+        scenario = Scenario("bench", 0.6, constants=(("kp", 60.0), ("mass", 0.3), ("length", 0.1)))
+        return simulate(model, values, [scenario], commands=[asked], timestep=0.005).joint_position[0, 0, :, 0]
+
+    whole = moved(0.045) - moved(0.04)
+    for share in (0.25, 0.5, 0.75):
+        part = moved(0.04 + share * 0.005) - moved(0.04)
+        assert part @ whole / (whole @ whole) == pytest.approx(share, abs=0.01)
+
+
 def test_the_batch_agrees_with_a_plain_loop_over_mj_step():
     model = base_model("servo_bench")
     values = np.array([[4e-3, 0.03, 0.02]])

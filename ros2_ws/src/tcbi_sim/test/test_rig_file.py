@@ -1,5 +1,7 @@
 """A user's own robot, described by its MJCF or URDF and a short TOML, is a rig like any other."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -71,7 +73,7 @@ def folder(tmp_path, monkeypatch):
 
 def rest(model, values, target=0.5, **constants):
     """Where the arm comes to rest, rad."""
-    scenario = Scenario("none", 6.0, settle=0.0, constants=tuple(constants.items()))
+    scenario = Scenario("none", 6.0, settle=0.0, initial_joint_position=(0.0,), constants=tuple(constants.items()))
     out = simulate(model, np.array([values]), [scenario], commands=[Commands(np.zeros(1), np.array([[target]]), 0.0)])
     return float(out.joint_position[0, 0, -1, 0]), out.joint_position[0, 0, :, 0]
 
@@ -143,6 +145,8 @@ def test_a_motion_may_begin_with_speed(folder):
         ("high = 20.0", "hihg = 20.0", "unknown key 'hihg'; parameters.gain lacks high"),
         ("model =", "commands = 'speed'\nmodel =", "commands: got 'speed'"),
         ("model =", "rate = -1\nmodel =", "rate: got -1"),
+        ("model =", "posture = 'sit'\nmodel =", "posture: got 'sit', allowed is the name of a key frame.*none has one"),
+        ("[par", "[posture]\nknee = 1.0\n[par", "posture: got {'knee': 1.0}, allowed is .*angles"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line_each(folder, old, new, told):
@@ -150,6 +154,19 @@ def test_what_is_wrong_is_told_in_one_line_each(folder, old, new, told):
     (folder / "my_arm.toml").write_text(TOML.replace(old, new, 1))
     with pytest.raises(RigFileError, match=told):
         load_rig("my_arm")
+
+
+@pytest.mark.parametrize(
+    ("posture", "angle"),
+    [("", 0.3), ("posture = 'low'", -0.2), ("[posture]\nhinge = 0.7", 0.7), ("[posture]", 0.0)],
+    ids=("first key frame", "named key frame", "listed", "none listed"),
+)
+def test_it_rests_in_a_key_frame_or_as_listed(folder, posture, angle):
+    frames = "<keyframe><key name='home' qpos='0.3'/><key name='low' qpos='-0.2'/></keyframe>"
+    (folder / "arm.xml").write_text(re.sub("<keyframe>.*</keyframe>", frames, MJCF))
+    where = "model =" if posture.startswith("posture") else "[par"
+    (folder / "my_arm.toml").write_text(TOML.replace(where, f"{posture}\n{where}", 1))
+    assert load_rig("my_arm").at_rest == pytest.approx([angle])
 
 
 MOTOR = '<actuator><motor joint="hinge"/></actuator>'

@@ -23,6 +23,7 @@ GAITS_TO_LEARN = ("steps", "sinus", "tripod", "squat", "twist")
 SLOPE, TURN = 0.12, 2.4  # rad: of the ground, and between the directions in which it falls under one gait and the next
 SHORTEST_S, LONGEST_S = 2.0, 8.0
 LEAST_COMMANDS = 40  # of a plan, however slowly the recordings were commanded
+STANDING_REACH = 0.25  # rad, either side of the posture
 GENTLE = 0.8  # of the largest position and speed seen
 WORDS = {
     "sweep": "slowly from one end to the other and back",
@@ -134,7 +135,9 @@ def planned(
 
 
 def standard_motions(rig: Rig, duration: float) -> list[Motion]:
-    """Motions for a rig of which nothing was recorded: gaits on slopes, or plans over half of the joints' range.
+    """Motions for a rig of which nothing was recorded: gaits on slopes, or plans about its posture.
+
+    A rig that is fixed moves over half of its joints' range, one that stands free as far as it stays on its feet.
 
     Raises:
       InferError: the rig is driven by torque, of which it does not say how much is safe.
@@ -146,11 +149,12 @@ def standard_motions(rig: Rig, duration: float) -> list[Motion]:
         ]
     if rig.kind != "position":
         raise InferError(f"the rig {rig.name!r} is driven by torque and has no motions of its own; give bags of it")
-    joints = len(rig.joint_names)
-    reach = np.full(joints, min(0.5 * rig.joint_range, 1.0))
+    joints, rest = len(rig.joint_names), rig.at_rest
+    reach = np.full(joints, STANDING_REACH if rig.floating else min(0.5 * rig.joint_range, 1.0))
     fastest = np.full(joints, 0.5 * rig.speed_limit * CONTROL_PERIOD_S)
-    scenario = Scenario("selftest", duration, settle=1.0 if rig.floating else 0.0)
-    return planned(scenario, np.zeros(joints), reach, fastest)
+    start = tuple(map(float, rest))
+    scenario = Scenario("selftest", duration, settle=1.0 if rig.floating else 0.0, initial_joint_position=start)
+    return planned(scenario, rest, reach, fastest)
 
 
 Plan = Callable[[np.ndarray, int], np.ndarray]  # (K,) share of the time gone, joints -> (K, J) between -1 and 1

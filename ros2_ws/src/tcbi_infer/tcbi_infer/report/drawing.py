@@ -59,7 +59,7 @@ class Scale:
 
 
 def robot(rig: Rig, errors: Mapping[str, float], body: float = float("nan"), scale: Scale | None = None) -> str:
-    """A drawing of a rig at zero angles.
+    """A drawing of a rig in its posture.
 
     Args:
       rig: what to draw.
@@ -69,6 +69,7 @@ def robot(rig: Rig, errors: Mapping[str, float], body: float = float("nan"), sca
     """
     model = compile_structure(rig, ())
     data = mujoco.MjData(model)
+    data.qpos[[model.joint(name).qposadr[0] for name in rig.joint_names]] = rig.at_rest
     mujoco.mj_forward(model, data)
     values = _by_body(model, rig, errors, body)
     shapes = [(values[b], points) for b, points in _parts(model, data)]
