@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from tcbi_infer.compare.clocks import Following
-from tcbi_infer.compare.guards import check_recording, guard
+from tcbi_infer.compare.guards import check_recording, guard, to_mend
 from tcbi_infer.compare.noise import autocorrelation_time, from_fast_changes, noise_floor
 from tcbi_infer.compare.replicates import SURE_KINDS, Replicates, find_replicates, split
 from tcbi_infer.compare.signals import JOINT, Layout, reference, window_mean
 from tcbi_infer.compare.wiring import unjudged
 from tcbi_infer.diagnose.paired import LEVEL, level
+from tcbi_infer.spikes import broken_readings, without_spikes
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.rigs import load_rig
 
@@ -205,8 +206,32 @@ def test_a_broken_reading_is_named_and_taken_for_no_other_unit():
     sound = recording()
     position = sound.joint_position.copy()
     position[100, 3] = 300.0
-    (finding,) = check_recording(dataclasses.replace(sound, joint_position=position))
-    assert finding.startswith(f"1 reading of {sound.joint_names[3]}, the first at ") and "broken on" in finding
+    broken = dataclasses.replace(sound, joint_position=position)
+    (finding,) = guard([broken])
+    assert finding.startswith(f"1 reading of {sound.joint_names[3]}, the first at ") and "left out" in finding
+    mended = without_spikes(broken)
+    assert np.abs(mended.joint_position - sound.joint_position).max() < 0.1
+    ((field, begin, end),) = mended.gaps
+    assert field == "joint_position" and begin < sound.time[100] < end
+    assert without_spikes(sound) is sound
+
+
+def test_commands_that_were_taken_for_degrees_are_named():
+    sound = recording()
+    tiny = dataclasses.replace(sound.commands, target=np.radians(sound.commands.target))
+    wrong = dataclasses.replace(sound, commands=tiny)
+    (finding,) = guard([wrong])
+    assert "57 times as far as their commands" in finding and "commands were scaled" in finding
+    assert to_mend([wrong])
+    resting = dataclasses.replace(wrong, joint_position=np.radians(sound.joint_position))
+    assert not to_mend([resting]), "nothing tells a small motion from one in another unit"
+
+
+def test_what_is_often_far_off_is_no_broken_reading():
+    sound = recording()
+    position = sound.joint_position.copy()
+    position[10::10, 3] += 1.0
+    assert not broken_readings(dataclasses.replace(sound, joint_position=position)).any()
 
 
 def test_an_echo_of_the_commands_is_named():

@@ -47,16 +47,21 @@ class Aligned:
 
 
 class Following:
-    """How the joints of a rollout follow their commands, at any lag and any rate of the clock."""
+    """How the joints of a rollout follow their commands, at any lag and any rate of the clock.
 
-    def __init__(self, m: Measurement) -> None:
-        self.measurement, self.told = m, False
+    Args:
+      m: the rollout.
+      moves: rad, standard deviation of a command that counts as motion.
+    """
+
+    def __init__(self, m: Measurement, moves: float = MOVES) -> None:
+        self.measurement, self.told, self._moves = m, False, moves
         if not len(m.commands.time) or len(m.time) < LEAST_SAMPLES or by_torque(m):
             return
         self._begin = m.time[0] - REACH
         grid = np.arange(self._begin, m.time[-1] + REACH + STEP, STEP)
         asked = reference(m, grid)
-        moving = (np.std(asked, axis=0) > MOVES) & (np.std(m.joint_position, axis=0) > 1e-6)
+        moving = (np.std(asked, axis=0) > moves) & (np.std(m.joint_position, axis=0) > 1e-6)
         self.joints = np.nonzero(moving)[0]
         self.told = bool(len(self.joints))
         self._asked, self._seen = asked[:, moving], m.joint_position[:, moving]
@@ -115,7 +120,7 @@ class Following:
             return np.full(len(self.joints), np.nan)
         size = np.std(asked, axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(size > MOVES / 2, np.std(seen, axis=0) / size, np.nan)
+            return np.where(size > self._moves / 2, np.std(seen, axis=0) / size, np.nan)
 
     @property
     def off_unit(self) -> bool:

@@ -11,11 +11,11 @@ from tcbi_infer.compare import task
 from tcbi_infer.compare.common_lag import common_lag
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.findings import Finding, Moment
-from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, unchecked
+from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, unchecked, unchecked_line
 from tcbi_infer.compare.locate import locate
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.compare.scorer import Scorer, SignalError, Traces, error_over_floor, in_words
+from tcbi_infer.compare.scorer import Scorer, SignalError, Traces, error_over_floor
 from tcbi_infer.compare.steadiness import unsteady
 from tcbi_infer.compare.wiring import unjudged
 from tcbi_infer.compare.worst import WorstMoment, worst
@@ -66,14 +66,8 @@ class Comparison:
     @property
     def not_checked(self) -> list[str]:
         """Sentences on what of the recording could not be checked."""
-        told = []
-        if self.unchecked:
-            none = len(self.unchecked) == len(self.rollouts)
-            where = "" if none else f" in {in_words([self.rollouts.index(r) for r in self.unchecked], self.rollouts)}"
-            told.append(
-                f"Clocks, wiring and units{where} could not be checked: the commands are torques, the joints hardly "
-                "move, or there are too few samples."
-            )
+        line = unchecked_line(self.unchecked, self.rollouts)
+        told = [line] if line else []
         if self.unjudged:
             told.append(
                 "Wiring and sign of these could not be checked, since they or their commands hardly move: "

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from tcbi_contract.wording import counted
 from tcbi_infer.compare.body_guards import check_body
 from tcbi_infer.compare.clocks import LONGEST, Following, aligned, clock_rate
 from tcbi_infer.compare.imu_guards import check_imu
 from tcbi_infer.compare.replicates import by_torque, find_replicates, nearly_repeats
 from tcbi_infer.compare.wiring import echo, units, wiring
 from tcbi_infer.gaps import sample_gaps, unusable
+from tcbi_infer.spikes import without_spikes
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.rigs import load_rig, missing_sensors, rig_names
 
@@ -34,7 +34,6 @@ IDLE = 0.05  # of the noise floor: a parameter that moves every signal less than
 IDLE_SPAN = (0.2, 0.8)  # of its range
 STEPS = 5.0  # encoder steps between two samples in which a value must change
 SAMPLE_GAPS = (2e-4, 0.5)  # s between samples, beyond which the times rather have another unit
-SPIKE = 0.3  # rad off both neighbours
 FROZEN_S = 1.5  # s in which a joint stays within STILL while its command goes FROZEN to and fro
 STILL, FROZEN = 0.005, 0.6  # rad; dry friction holds a soft servo (kp 100 to 800 of an XL330) against 0.3
 
@@ -46,6 +45,7 @@ def idle_parameter(name: str) -> str:
 
 def guard(measurements: Sequence[Measurement]) -> list[str]:
     """Findings about the recordings and what their reader had to leave out, each told once for several rollouts."""
+    measurements = [without_spikes(m) for m in measurements]
     followings = [Following(m) for m in measurements]
     rate = clock_rate(followings)
     clocks, odd = aligned(measurements, followings).findings, _uneven_repeats(measurements)
@@ -61,7 +61,7 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
 def to_mend(measurements: Sequence[Measurement]) -> list[str]:
     """Findings to which no physics must be fitted: wrong units or commands that most rollouts share, and joints that
     all rollouts together show to be wired wrongly."""
-    replayed = [m for m in measurements if len(m.commands.time)]  # the others are left out anyway
+    replayed = [without_spikes(m) for m in measurements if len(m.commands.time)]  # the others are left out anyway
     ordered = [(m, Following(m)) for m in replayed if _ordered(m)]
     findings = []
     for m, following in ordered:
@@ -123,6 +123,18 @@ def _sources(measurements: Sequence[Measurement]) -> list[str]:
 def unchecked(measurements: Sequence[Measurement]) -> tuple[str, ...]:
     """Rollouts whose joints tell nothing of their commands, so that no clock, wiring or unit can be checked by them."""
     return tuple(m.rollout_id for m in measurements if not Following(m).told)
+
+
+def unchecked_line(unchecked: Sequence[str], rollouts: Sequence[str]) -> str:
+    """What it means that clock, wiring and unit of some rollouts, by their ids, were not checked; "" for none."""
+    if not unchecked:
+        return ""
+    none = len(unchecked) == len(rollouts)
+    where = "" if none else f" in {len(unchecked)} of {len(rollouts)} rollouts ({some(unchecked)})"
+    return (
+        f"Clocks, wiring and units{where} could not be checked: the commands are torques, the joints hardly move (as "
+        "they do where angles are in another unit than the mapping says), or there are too few samples."
+    )
 
 
 def _copies(measurements: Sequence[Measurement]) -> list[str]:
@@ -201,7 +213,7 @@ def _check(m: Measurement, following: Following) -> list[str]:
         *wrong,
         *unusable(m, m.time).sentences,
         *_held(m),
-        *([] if wrong else [*_spikes(m), *_frozen(m)]),
+        *([] if wrong else _frozen(m)),
         *echo(m, following),
         *_lag(following),
         *_not_simulated(m),
@@ -270,23 +282,6 @@ def _held(m: Measurement) -> list[str]:
     rate = 1.0 / float(np.median(np.diff(m.time)))
     changes = rate * (1 - repeated)
     return [f"The stream claims {rate:.0f} Hz but its joint positions change only {changes:.0f} times a second"]
-
-
-def _spikes(m: Measurement) -> list[str]:
-    """Single readings far from both neighbours, which agree: a bit that fell over on the bus."""
-    q = m.joint_position
-    off = np.abs(q[1:-1] - (q[:-2] + q[2:]) / 2)
-    spike = (off > SPIKE) & (np.abs(q[2:] - q[:-2]) < off / 2)
-    found = []
-    for j in np.flatnonzero(spike.any(axis=0)):
-        at = np.flatnonzero(spike[:, j]) + 1
-        jump = float(np.max(off[at - 1, j]))
-        found.append(
-            f"{counted(len(at), 'reading')} of {m.joint_names[j]}, the first at {m.time[at[0]]:.2f} s, stand"
-            f"{'s' * (len(at) == 1)} up to {jump:.3g} rad off the readings before and after: broken on their way, and "
-            "counted all the same"
-        )
-    return found
 
 
 def _frozen(m: Measurement) -> list[str]:

@@ -14,6 +14,7 @@ from tcbi_infer.compare.noise import NoiseFloor, mean_of, noise_floor, originals
 from tcbi_infer.compare.replicates import Replicates, find_replicates
 from tcbi_infer.compare.signals import GROUPS, Layout, window_mean
 from tcbi_infer.gaps import unusable
+from tcbi_infer.spikes import without_spikes
 from tcbi_sim.engine import SimulatedRollouts, simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import Model
@@ -64,7 +65,8 @@ class Replay:
         rig = load_rig(model.rig)
         useless = {m.rollout_id: told for m in measurements if (told := _useless(m, rate or rig.rate))}
         lacking: dict[str, Any] = dict.fromkeys(missing_sensors(rig))
-        usable = [dataclasses.replace(m, **lacking) for m in measurements if m.rollout_id not in useless]
+        kept = (without_spikes(m) for m in measurements if m.rollout_id not in useless)
+        usable = [dataclasses.replace(m, **lacking) for m in kept]
         if not usable:
             raise NothingToCompareError(useless)
         for m in usable:

@@ -32,23 +32,35 @@ ALL_BUT_SPIKES = 0.99  # of the samples
 
 
 def units(m: Measurement, following: Following) -> list[str]:
+    """Findings of positions or commands that are not in rad."""
     largest = float(np.quantile(np.nan_to_num(np.abs(m.joint_position)).max(axis=1), ALL_BUT_SPIKES))
+    slope = float(np.nanmedian(following.gain)) if following.told and np.isfinite(following.gain).any() else 1.0
+    if following.off_unit:
+        return [_off_unit(slope)]
     if following.told:
         asked, seen = following.pairs(_found(following))
-        slope = float(np.nanmedian(following.gain)) if np.isfinite(following.gain).any() else 1.0
-        if following.off_unit:
-            near = ((k, name) for k, name in UNITS.items() if DROOP < slope / k < 1.25)
-            times, unit = next(near, (slope, "another unit than radians"))  # the unit's own: the same in every rollout
-            return [f"Joint positions move some {times:.0f} times as far as their commands: these look like {unit}"]
         if slope < COMMANDED and np.median(np.abs(correlation(asked, seen))) > SWAPPED:
             times = f"over {1 / COMMANDED:.0f} times"
             return [f"Commands move {times} as far as the joints: these look like degrees, not radians"]
+    else:  # commands that hardly move, as those in rad do that were taken for degrees
+        tiny = Following(m, MOVES * COMMANDED)
+        if tiny.off_unit and np.median(np.abs(correlation(*tiny.pairs(_found(tiny))))) > SWAPPED:
+            return [_off_unit(float(np.nanmedian(tiny.gain)))]
     if largest > 30 * np.pi:
         return ["Joint positions reach hundreds of radians: these look like raw encoder counts or degrees"]
     turns = by_torque(m) or (following.told and slope > DROOP)  # a joint that may turn on, or was asked to
     if largest > 4 * np.pi and not turns:
         return ["Joint positions exceed two turns: these look like degrees, or an encoder that lost count"]
     return [] if m.rig not in rig_names() else _beyond_rig(m, largest, load_rig(m.rig))
+
+
+def _off_unit(slope: float) -> str:
+    near = ((k, name) for k, name in UNITS.items() if DROOP < slope / k < 1.25)
+    times, unit = next(near, (slope, "another unit than radians"))  # the unit's own: the same in every rollout
+    return (
+        f"Joint positions move some {times:.0f} times as far as their commands: these look like {unit}, or the "
+        "commands were scaled as if they were"
+    )
 
 
 def _beyond_rig(m: Measurement, largest: float, rig: Rig) -> list[str]:

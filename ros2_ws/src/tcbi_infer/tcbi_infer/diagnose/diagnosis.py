@@ -338,7 +338,8 @@ class _Run:
                 sets, step = list(self.sets), self.settings.timestep
                 predicted = self.replay.predict(judged.fit.model, instant[None], sets, step)[0]
                 late = common_lag(self.replay.layout, self.replay.time, measured, predicted, names, use)
-        return (*guard(self.measurements), *late)
+        line = unchecked_line(unchecked(self.measurements), [m.rollout_id for m in self.measurements])
+        return (*guard(self.measurements), *late, *([line] if line else []))
 
     def _next_motions(
         self,

@@ -12,6 +12,7 @@ from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_contract.wording import counted, some
 from tcbi_infer.errors import InferError
 from tcbi_infer.gaps import unusable
+from tcbi_infer.spikes import without_spikes
 from tcbi_infer.statistics import RolloutArrays, from_measurements
 from tcbi_sim.measurement import Measurement, roll_pitch_yaw
 from tcbi_sim.model import Model
@@ -60,7 +61,7 @@ def checked(model: Model, measurements: Sequence[Measurement]) -> tuple[list[Mea
             f"model {model.version} is of rig {model.rig}, but {some(wrong)} {_are(wrong)} of {', '.join(others)}; "
             "infer each rig's rollouts with a model of that rig"
         )
-    measurements = [_finite(m) for m in measurements]
+    measurements = [without_spikes(_finite(m)) for m in measurements]
     usable = [m for m in measurements if len(m.time) >= LEAST_SAMPLES and len(m.commands.time)]
     if len(usable) < len(measurements):
         short = [m.rollout_id for m in measurements if not (len(m.time) >= LEAST_SAMPLES and len(m.commands.time))]
