@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from tcbi_contract.wording import some
 from tcbi_infer.compare.body_guards import check_body
 from tcbi_infer.compare.clocks import LONGEST, Following, aligned, clock_rate
 from tcbi_infer.compare.imu_guards import check_imu

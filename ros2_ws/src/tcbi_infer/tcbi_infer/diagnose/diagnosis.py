@@ -14,7 +14,7 @@ import numpy as np
 from tcbi_infer.compare.common_lag import LATENCIES, are_latencies, common_lag, without_latency
 from tcbi_infer.compare.comparison import without_change
 from tcbi_infer.compare.errors import CompareError
-from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, to_mend
+from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, to_mend, unchecked, unchecked_line
 from tcbi_infer.compare.noise import NoiseFloor, mean_of
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
