@@ -25,9 +25,11 @@ def errors(store: ModelStore, rig: str) -> tuple[ErrorLine, dict[str, tuple[tupl
 
 
 def _made(model: Model) -> str:
+    from tcbi_infer.diagnose.adopt import doubt
+
     kind = kind_of(model)
     parent = f" from v{model.parent.rpartition('-v')[2]}" if model.parent else ""
-    guess = ", not accepted: a guess" if kind == "diagnosis" and model.evidence.get("accepted") is False else ""
+    guess = ", a guess" if kind == "diagnosis" and model.evidence.get("use") and doubt(model.evidence) else ""
     return f"{MADE.get(kind, kind)}{parent}{guess}"
 
 

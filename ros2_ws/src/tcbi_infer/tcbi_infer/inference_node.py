@@ -264,8 +264,8 @@ class InferenceNode(Node):
         if found is None:
             return child, "its size as wide as the prior: no diagnosis of this version has fitted it"
         fitted = adopt.offered(parent, use, found)
-        guess = "" if fitted.evidence["accepted"] else ", which did not accept it: it is a guess"
-        return fitted, f"as the newest diagnosis fitted it{guess}"
+        doubt = adopt.doubt(fitted.evidence)
+        return fitted, "as the newest diagnosis fitted it" + (doubt and f", which {doubt}: it is a guess")
 
     # -- diagnosis ------------------------------------------------------------------------------------------------
 

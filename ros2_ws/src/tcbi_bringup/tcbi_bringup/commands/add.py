@@ -114,6 +114,8 @@ def _fitted(args: argparse.Namespace, model: "Model", measurements: "list[Measur
 
 
 def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
+    from tcbi_infer.diagnose.adopt import doubt
+
     print(f"{saved.version} = {model.version} + {effect}")
     rows = [[p.name, p.unit, float(v)] for p, v in zip(saved.parameters, saved.mean(), strict=True)]
     console.table("mean parameters", ["parameter", "unit", "mean"], rows)
@@ -128,10 +130,8 @@ def _print(model: "Model", saved: "Model", effect: str, path: Path) -> None:
             f"error over the noise floor on {judged}: {_error(errors['base'])} with {model.version} "
             f"fitted again, {_error(errors[effect])} with {saved.version}"
         )
-        if not saved.evidence["accepted"]:
-            print(
-                f"note: the diagnosis did not accept {effect}, so the version is a guess. {saved.evidence['statement']}"
-            )
+        if why := doubt(saved.evidence):
+            print(f"note: {effect} is a guess: the diagnosis {why}. {saved.evidence['statement']}")
         for told in saved.evidence["disagreements"]:
             print(f"note: {told}")
     else:

@@ -13,7 +13,7 @@ from scipy.special import betaincinv
 from tcbi_contract.files import replace_file
 from tcbi_contract.plain import plain
 from tcbi_infer.diagnose.diagnosis import diagnose
-from tcbi_infer.diagnose.evidence import Diagnosis
+from tcbi_infer.diagnose.evidence import CANNOT_TELL, NOTHING_MISSING, OUTSIDE_LIBRARY, Diagnosis
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.errors import InferError
 from tcbi_sim.measurement import Measurement
@@ -26,6 +26,11 @@ HALVINGS = 40
 STAND_OFF = 0.3  # of a standard deviation, between a mean and the bounds
 FLAT_SD = 12**-0.5  # of the flat prior, in unit space
 PREFIX = "diagnosis-"
+DOUBTS = {
+    CANNOT_TELL: "could not tell which effect is missing",
+    OUTSIDE_LIBRARY: "found that something else is missing",
+    NOTHING_MISSING: "found that nothing is missing",
+}
 MOMENTS = "moments-"  # the worst moments of the diagnosis of the same name
 
 
@@ -75,6 +80,13 @@ def adopt(model: Model, use: str, diagnosis: Mapping[str, Any], seed: int = 0) -
     }
     fitted_again = child.with_particles(particles, log_weights, **summary)
     return dataclasses.replace(fitted_again, joint_gains=tuple(evidence.get("joint_gains") or model.joint_gains))
+
+
+def doubt(evidence: Mapping[str, Any]) -> str:
+    """What a diagnosis that made a version says against its effect; empty where it named that effect alone."""
+    if not evidence["accepted"]:
+        return "did not accept it"
+    return DOUBTS.get(evidence["verdict"], "")
 
 
 def offered(model: Model, use: str, diagnosis: Mapping[str, Any]) -> Model:

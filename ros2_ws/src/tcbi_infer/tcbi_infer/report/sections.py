@@ -10,6 +10,7 @@ from tcbi_infer.compare.history import history
 from tcbi_infer.compare.ladder import lineage
 from tcbi_infer.compare.versions import Difference, Interval, intervals
 from tcbi_infer.diagnose import detectable, excitation
+from tcbi_infer.diagnose.adopt import doubt
 from tcbi_infer.diagnose.evidence import EFFECT, Diagnosis, Evidence, step_label
 from tcbi_infer.report import plots
 from tcbi_infer.report.explained import agreement_section, leftover_section
@@ -209,13 +210,10 @@ def add_version(report: Report, parent: Model, child: Model) -> None:
     evidence = child.evidence
     if "statement" not in evidence:
         told, tone = "Nothing has been fitted: the new parameters are as wide as their prior.", "neutral"
-    elif evidence["accepted"]:
-        told, tone = evidence["statement"], "good"
+    elif why := doubt(evidence):
+        told, tone = f"The effect is a guess: the diagnosis {why}. {evidence['statement']}", "warn"
     else:
-        told, tone = (
-            f"The diagnosis did not accept this effect; the version is a guess. {evidence['statement']}",
-            "warn",
-        )
+        told, tone = evidence["statement"], "good"
     disagreements = evidence.get("disagreements", [])
     tone = "warn" if disagreements else tone
     report.add(Section(f"{child.version} follows {parent.version}", verdict=told, tone=tone, notes=disagreements))
