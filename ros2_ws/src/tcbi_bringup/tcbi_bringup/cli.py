@@ -122,7 +122,10 @@ def overview() -> str:
             lines += [title, *(f"  {c.name:14} {c.summary}" for c in commands), ""]
     lines += ["  python ARGS    the interpreter of this environment", ""]
     lines += ["  --version      of tcbi, and of what it stands on (with --json)", ""]
-    lines += ["Exit status: 0 done, 1 the input or the machine is at fault, 2 wrong usage or an unknown name."]
+    lines += [
+        "Exit status: 0 done, 1 the input or the machine is at fault, 2 wrong usage or an unknown name, "
+        "130 stopped by Ctrl-C."
+    ]
     return "\n".join(lines)
 
 

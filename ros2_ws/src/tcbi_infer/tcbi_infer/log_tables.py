@@ -69,7 +69,9 @@ def _parse(path: Path, entries: str, notes: list[str]) -> tuple[Table, dict[str,
     try:
         raw = path.read_bytes()
         text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig")
-    except (OSError, EOFError, UnicodeDecodeError, zlib.error) as e:
+    except UnicodeDecodeError as e:
+        raise MappingError(f"{path}: is no UTF-8 text ({e}); save it as UTF-8") from e
+    except (OSError, EOFError, zlib.error) as e:
         raise MappingError(f"{path}: cannot be read ({e}); record or copy it again") from e
     kind = path.name.removesuffix(".gz").rpartition(".")[2]
     if kind == "json":

@@ -60,7 +60,11 @@ def test_the_worst_moments_the_maps_and_the_ladder_are_on_the_page(page):
     for words in ("The worst moments", "What the error grows with", "the robot against itself", "from above"):
         assert words in page
     assert page.count("<figure") >= 7
-    assert page.index("How wrong is the model?") < page.index("Where the error lives") < page.index("Every signal")
+    assert (
+        page.index("Error over noise floor, joints and attitude.")
+        < page.index("Where the error lives")
+        < page.index("Every signal")
+    )
 
 
 def test_guards_come_before_any_figure(comparison):

@@ -159,6 +159,12 @@ def test_ten_worst_moments_are_apart(replay):
         assert all(a is b or a[0] != b[0] or abs(a[1] - b[1]) >= 20 for b in found)
 
 
+def test_short_rollouts_have_ten_worst_moments_too_of_several_joints():
+    residual = np.random.default_rng(0).normal(0, 1, (1, 60, 18))
+    found = worst_moments(residual, np.ones(18), np.arange(18), 10, 40)
+    assert len(set(found)) == 10 and len({c for _, _, c in found}) == 10
+
+
 @pytest.fixture(scope="module")
 def driven():
     """A rig whose commands are torques."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from tcbi_bringup.arguments import at_least, seed, timestep
 from tcbi_bringup.commands import console
 from tcbi_bringup.errors import WrongCallError
+from tcbi_contract.wording import with_unit
 
 if TYPE_CHECKING:
     from tcbi_infer.tcbi.advice import Advice
@@ -120,6 +121,8 @@ def run(args: argparse.Namespace) -> int:
     from tcbi_sim.store import ModelStore
 
     method, store = find_method(args.method), ModelStore(args.store)
+    if args.statistics is not None and not args.statistics.strip(" ,"):
+        raise WrongCallError(f"--statistics: got {args.statistics!r}, allowed are names with commas, or +names")
     if args.statistics and not method.by_task:
         raise WrongCallError(f"method {method.name} looks at trajectories, not at statistics; leave --statistics out")
     if args.advise and not method.judges:
@@ -254,7 +257,8 @@ def beside_truth(estimate: "Estimate", truth: float) -> dict[str, Any]:
 def _print_truth(result: "Result", truth: dict[str, float]) -> None:
     for p in result.model.parameters:
         if p.name in truth and not p.low <= truth[p.name] <= p.high:
-            print(f"{p.name}: the truth {truth[p.name]:g} lies outside the prior, {p.low:g} to {p.high:g} {p.unit}")
+            prior = with_unit(f"{p.low:g} to {p.high:g}", p.unit)
+            print(f"{p.name}: the truth {truth[p.name]:g} lies outside the prior, {prior}")
     found = [beside_truth(e, truth[e.name]) for e in result.estimates if e.name in truth]
     if found:
         rows = [[f["name"], f["unit"], f["truth"], f["error"], "yes" if f["inside"] else "no"] for f in found]
@@ -296,14 +300,16 @@ def _print(result: "Result", method: "Method", version: str) -> None:
     print(
         f"{result.simulations} rollouts simulated in {len(result.generations)} generations, {result.seconds:.0f} s, "
         + (
-            f"{result.ess:.0f} effective particles, "
+            f"{int(result.ess)} effective particles, "
             if method.judges
             else f"a posterior of {result.ess:.0f} particles, "
         )
         + ("converged" if result.converged else "stopped by the number of generations")
     )
     if method.judges and result.ess < LEAST_ESS:
-        print(f"fewer than {LEAST_ESS} effective particles tell nothing; more particles or generations are needed")
+        share = result.settings.get("least_ess")  # of the particles, that stay effective
+        enough = f" (--particles {math.ceil(LEAST_ESS / share)} or more)" if share else ""
+        print(f"fewer than {LEAST_ESS} effective particles tell nothing: more particles{enough} or generations do")
     if not any(e.identified for e in result.estimates):
         beyond = "" if result.prior is None else f" beyond what {result.model.version} says"
         nothing = f"nothing is identified{beyond}, and " if method.judges else ""

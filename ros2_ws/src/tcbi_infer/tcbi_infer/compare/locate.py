@@ -201,20 +201,25 @@ def _who(label: str, names: Sequence[str]) -> str:
 def worst_moments(
     residual: np.ndarray, floor: np.ndarray, channels: np.ndarray, count: int, span: int
 ) -> list[tuple[int, int, int]]:
-    """(rollout, first sample, channel) of the worst windows of `span` samples, apart from each other."""
+    """(rollout, first sample, channel) of the worst windows of `span` samples, apart from each other.
+
+    Where the rollouts are too short for as many, other channels' windows at the same times make up the number.
+    """
     scaled = np.nan_to_num(residual[..., channels] / floor[channels]) ** 2
     length = scaled.shape[1]
     span = min(span, length)
     total = np.cumsum(np.concatenate([np.zeros_like(scaled[:, :1]), scaled], axis=1), axis=1)
     windows = total[:, span:] - total[:, :-span] if length > span else total[:, -1:]
     moments: list[tuple[int, int, int]] = []
-    windows = windows.copy()
-    while len(moments) < count and windows.size and windows.max() > 0:
-        r, t, c = np.unravel_index(int(np.argmax(windows)), windows.shape)
-        moments.append((int(r), int(t), int(channels[c])))
-        windows[r, max(0, t - span) : t + span, :] = -1
-        if sum(m[0] == r and m[2] == channels[c] for m in moments) == ALIKE:
-            windows[r, :, c] = -1
+    apart, other = windows.copy(), windows.copy()  # for moments at other times, then for other channels at the same
+    for left in (apart, other):
+        while len(moments) < count and left.size and left.max() > 0:
+            r, t, c = (int(i) for i in np.unravel_index(int(np.argmax(left)), left.shape))
+            moments.append((r, t, int(channels[c])))
+            apart[r, max(0, t - span) : t + span] = -1
+            other[r, max(0, t - span) : t + span, c] = -1
+            if sum(m[0] == r and m[2] == channels[c] for m in moments) == ALIKE:
+                apart[r, :, c] = other[r, :, c] = -1
     return moments
 
 

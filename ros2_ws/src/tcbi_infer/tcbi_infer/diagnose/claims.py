@@ -59,10 +59,15 @@ def not_simulated(diverging: Sequence[str], random: Sequence[str]) -> list[str]:
     return told + [f"Not tried by replay, since {AT_RANDOM}: {', '.join(random)}."] * bool(random)
 
 
-def bounds(base: Evidence, named: Sequence[Evidence]) -> list[str]:
-    """A sentence on each parameter that the fits left at an end of its range, or whose interval ends there."""
+def bounds(base: Evidence | None, named: Sequence[Evidence]) -> list[str]:
+    """A sentence on each parameter that the fits left at an end of its range, or whose interval ends there.
+
+    Args:
+      base: the base model; None where an effect is named, with which it is no longer the model.
+      named: the candidates of the verdict.
+    """
     told = []
-    for e in (base, *named):
+    for e in (*([] if base is None else [base]), *named):
         for p in (p for p in e.parameters if p.at_bound):
             why = "a wrong range or another missing effect may be behind it" if e is base else _beyond(p)
             end = with_unit(f"{p.value:.3g}", p.unit)

@@ -299,7 +299,7 @@ class _Run:
                 claims(kinds, len(sealed), null, self.floor, self.settings)
                 + left_out(left, self.uses)
                 + not_simulated(directions.diverging, directions.random)
-                + bounds(base, [e for e in (*ranking, *random) if e.use in ruling.uses])
+                + bounds(None if named else base, [e for e in (*ranking, *random) if e.use in ruling.uses])
                 + [a.statement for use in told for a in disagreeing(agreed.get(use, ()))]
             ),
             base=base,

@@ -18,7 +18,7 @@ from tcbi_infer.report.drawing import Scale, robot
 from tcbi_infer.report.maps import curves as condition_plots
 from tcbi_infer.report.maps import heat_map
 from tcbi_infer.report.page import Figure, Report, Section, Table
-from tcbi_infer.report.sections import add_ladder
+from tcbi_infer.report.sections import ladder_figure
 from tcbi_sim.rigs import load_rig
 
 HEAD = ("signal", "unit", "error", "noise floor", "ratio", "share inside 90 % band", "CRPS", "floor from")
@@ -44,12 +44,13 @@ def add_comparison(
         f"rollout{'s' if len(c.rollouts) != 1 else ''}."
     )
     tone = "good" if c.error_over_floor < 1.5 else "warn"
-    text = [c.floor.statement, *_checked(c)]
-    report.add(Section("Prediction against measurement", verdict=headline, tone=tone, text=text))
+    text, figures = [c.floor.statement, *_checked(c)], []
     if rungs:
         mark = "\n(fitted to some of these)"
         errors = [(f"{r.label}{mark * r.fitted_here}", r.error_over_floor) for r in rungs]
-        add_ladder(report, errors, told(rungs), c.floor.from_replicates)
+        explain, ladder = ladder_figure(errors, c.floor.from_replicates)
+        text, figures = [explain, *filter(None, [told(rungs)]), *text], [ladder]
+    report.add(Section("Prediction against measurement", verdict=headline, tone=tone, text=text, figures=figures))
     _add_places(report, c, after)
     text = [
         "Where the prediction of joints, attitude and rates departs most, each over its own noise floor. The line is "

@@ -48,7 +48,7 @@ def add_inference(
     head, rows, caveat = [*HEAD], posterior_rows(result, method), method.caveat
     text = [
         f"{len(result.rollouts)} rollouts of {result.task}, {result.simulations} simulated in "
-        f"{len(result.generations)} generations of the method {result.method}; {result.ess:.0f} effective particles.",
+        f"{len(result.generations)} generations of the method {result.method}; {int(result.ess)} effective particles.",
         *([f"{caveat[0].upper()}{caveat[1:]}."] if caveat else []),
     ]
     if known:

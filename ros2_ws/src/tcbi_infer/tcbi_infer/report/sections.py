@@ -34,6 +34,12 @@ def add_ladder(
       repeated: whether the floor comes from repeats of the same commands, else it is estimated; None: not known.
       title: of the section.
     """
+    explain, figure = ladder_figure(errors, repeated)
+    report.add(Section(title, text=[explain, *([text] if text else [])], figures=[figure]))
+
+
+def ladder_figure(errors: Sequence[tuple[str, float]], repeated: bool | None) -> tuple[str, Figure]:
+    """What the bars of a ladder mean, and the ladder; arguments as of `add_ladder`."""
     itself = {
         True: "in multiples of how much the robot differs from itself when it repeats a motion",
         False: "in multiples of the noise floor, which is estimated here, since no motion was repeated",
@@ -43,8 +49,7 @@ def add_ladder(
         f"Each bar is how far the prediction is from the measurement, joints and attitude together, {itself}. 1 is as "
         "good as any model can be."
     )
-    figure = Figure(plots.ladder(errors, repeated), "Error over noise floor, joints and attitude.", wide=True)
-    report.add(Section(title, text=[explain, *([text] if text else [])], figures=[figure]))
+    return explain, Figure(plots.ladder(errors, repeated), "Error over noise floor, joints and attitude.", wide=True)
 
 
 def add_kept_ladder(report: Report, version: Model, models: Sequence[Model]) -> None:
@@ -69,11 +74,12 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[
     d = diagnosis
     tone = "good" if d.reassuring else {EFFECT: "warn"}.get(d.verdict, "neutral")
     sizes = Table(detectable.HEAD, detectable.rows(d.detectable), detectable.TITLE) if d.detectable else None
-    report.add(Section(d.headline, verdict=d.statement, tone=tone, notes=d.claims, table=sizes, folded=True))
+    own = [(step_label(k), v) for k, v in d.errors.items()]
+    explain, figure = ladder_figure([*earlier, *own], d.floor_from_replicates)
+    report.add(Section(d.headline, verdict=d.statement, tone=tone, text=[explain], figures=[figure]))
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
-    own = [(step_label(k), v) for k, v in d.errors.items()]
-    add_ladder(report, [*earlier, *own], repeated=d.floor_from_replicates, title="The error before and after")
+    report.add(Section("What the verdict rests on", notes=d.claims, table=sizes, folded=True))
     if d.ranking:
         report.add(_ranking(d))
     if d.moments:

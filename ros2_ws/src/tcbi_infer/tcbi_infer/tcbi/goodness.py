@@ -25,9 +25,14 @@ UNLIKELY = 0.05  # share of a prior that is not flat, beyond which they lie wher
 POOR = 1.8  # remaining divergence over noise, from which a bound is said to be in the way
 FALLING = 0.1  # share by which that ratio falls in a generation, from which more of them may still mend it
 WIDENED = (
-    "the posterior is widened for it; an effect may be missing (tcbi diagnose), or a parameter's range be too narrow"
+    "the posterior is widened for it; an effect may be missing (tcbi diagnose), a parameter's range be too narrow, or "
+    "the rollouts not be of one robot in one state"
 )
 TOO_NARROW = "its range, in the file of the rig or of its effect, is too narrow, or an effect is missing"
+PUSHED = (
+    "one of these may lie there only to make up for another: widen one range at a time, first the one that you are "
+    "least sure of"
+)
 UNTOLD = (
     "too few particles or generations to tell whether the model fits: more of them may still lower what remains of the "
     "divergence of {}"
@@ -69,8 +74,8 @@ def goodness_of_fit(
     falling = _falling(ratios, earlier) | _falling(single, {} if before is None else before.notes.get("misfit", {}))
     outside = _outside(parameters, departed.nearest) if departed else {}
     ends = {
-        end.parameter.name: f"the prior of {end.parameter.name} seems to exclude the data: what fits best lies at its "
-        f"{end.at}, and fits poorly; {TOO_NARROW}"
+        end.parameter.name: f"the prior of {end.parameter.name} seems to exclude the data: what fits best lies "
+        f"{end.near} its {end.at}, and fits poorly; {TOO_NARROW}"
         for end in _ends(parameters, unit, log_weights, last)
         if not end.null and (end.share > PILED or end.best)
     }
@@ -79,6 +84,8 @@ def goodness_of_fit(
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
     far = departed.far if departed else {}
     stays_poor = bool(poor.keys() - falling)
+    if len(bounds) > 1:
+        bounds.append(PUSHED)
     lines = list(bounds) if stays_poor else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
@@ -205,6 +212,7 @@ class _End(NamedTuple):
     null: bool  # whether the effect vanishes there
     share: float  # of the posterior, at the bound
     best: bool  # whether most of the best particles are near
+    near: str  # "at", or where in the middle these lie: "at 5.2 N m/rad, near"
 
 
 def _ends(
@@ -218,8 +226,10 @@ def _ends(
             ("high", p.high, 1 - unit[:, i], 1 - best[:, i]),
         ):
             near = bool(len(best)) and bool(np.median(far_best) < NEAR)
+            middle = float(p.from_unit(np.median(best[:, i]))) if near else bound
+            where = "at" if f"{middle:.2g}" == f"{bound:.2g}" else f"at {middle:.2g}{_unit(p)}, near"
             share = float(weights[far < EDGE].sum())
-            yield _End(p, f"{name} end, {bound:g}{_unit(p)}", p.null == bound, share, near)
+            yield _End(p, f"{name} end, {bound:g}{_unit(p)}", p.null == bound, share, near, where)
 
 
 def unfinished(last: Generation) -> list[str]:
@@ -229,7 +239,7 @@ def unfinished(last: Generation) -> list[str]:
         return []
     share = last.alpha / supported
     return [
-        f"more could be learnt: with {last.ess:.0f} effective particles the data are weighed at {share:.0%} of "
+        f"more could be learnt: with {int(last.ess)} effective particles the data are weighed at {share:.0%} of "
         "what they support, so the posterior is wider than need be; more generations narrow it"
     ]
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tcbi_contract.wording import with_unit
 from tcbi_infer.tcbi.proposal import to_probit
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance
 from tcbi_sim.parameter import Parameter
@@ -71,5 +72,7 @@ def told(parameters: Sequence[Parameter], unit: np.ndarray, weights: np.ndarray)
     axis = int(np.argmax(np.ptp(means, axis=0) / np.sqrt(np.maximum(within, 1e-12))))
     p = parameters[axis]
     centres = [float(weights[part] @ p.from_unit(unit[part, axis]) / weights[part].sum()) for part in parts]
-    places = ", ".join(f"{s:.0%} at {c:.3g} {p.unit}" for c, s in sorted(zip(centres, shares, strict=True)))
+    places = ", ".join(
+        f"{s:.0%} at {with_unit(f'{c:.3g}', p.unit)}" for c, s in sorted(zip(centres, shares, strict=True))
+    )
     return f"{len(parts)} separate modes, which differ most in {p.name} ({places})"

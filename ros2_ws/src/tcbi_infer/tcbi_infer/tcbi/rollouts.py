@@ -154,7 +154,8 @@ def _mixture(measurements: Sequence[Measurement]) -> list[str]:
 def _strays(seen: Mapping[str, str]) -> str:
     """The rollouts that differ from nearly all others, of rollout -> what it is of."""
     ((usual, count),) = Counter(seen.values()).most_common(1)
-    if len(seen) - count > STRAY * len(seen):
+    odd = len(seen) - count
+    if odd > STRAY * len(seen) and not (odd == 1 and len(seen) > 2):
         return ""
     return f"; all but {some([r for r, what in seen.items() if what != usual])} are of {usual or 'an unnamed one'}"
 
