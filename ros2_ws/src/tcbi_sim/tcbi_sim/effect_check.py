@@ -40,7 +40,7 @@ def check_file(path: Path, rigs: tuple[str, ...] = tuple(RIGS)) -> Check:
         effect = load_file(path)
     except UserEffectError as e:
         return Check(path, None, (), {}, tuple(e.faults))
-    faults = incomplete(effect) + _taken(effect, path)
+    faults = incomplete(effect) + _taken(effect, path) + _unknown(effect)
     unsuited: dict[str, str] = {}
     trials: list[Trial] = []
     where: dict[str, list[str]] = {}  # fault -> rigs
@@ -78,6 +78,16 @@ def _taken(effect: Effect, path: Path) -> list[str]:
     if other is not None and other.name != path.name:  # of the same name: a copy that is worked on
         return [f"the name {effect.name!r} is taken by {other}; choose another one"]
     return []
+
+
+def _unknown(effect: Effect) -> list[str]:
+    """Effects that it says it includes, and that do not exist."""
+    known = [name for name in library() if name != effect.name]
+    return [
+        f"includes {name!r}, allowed are names of other effects: {', '.join(known)}"
+        for name in effect.includes
+        if name not in known
+    ]
 
 
 def _on_rig(effect: Effect, rig: Rig, path: Path, unsuited: dict[str, str], trials: list[Trial]) -> list[str]:

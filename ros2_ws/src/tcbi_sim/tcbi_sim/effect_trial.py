@@ -111,8 +111,10 @@ def _judge(model: Model, use: EffectUse, rig: Rig) -> Trial:
     acts, null_change = max(change.values()), max(at_null[s] for s in signals)
     if not faults:
         allowed = max(EXACT, STRUCTURAL * max(change[s] for s in signals)) if structural else EXACT
-        has_null = any(p.null is not None for p in use.parameters)
-        faults += _changes(acts, null_change if has_null else 0.0, allowed)
+        if any(p.null is not None for p in use.parameters) and not null_change <= allowed:
+            alone = differences(simulate(model, values[:1], [scenario], commands=[commands]), without, 0)
+            faults.append(_at_null(use, null_change, max(alone[s] for s in signals), allowed))
+        faults += _changes(acts)
         faults += _idle(use, out)
     return Trial(rig.name, use.key, change, null_change, tuple(faults))
 
@@ -127,19 +129,28 @@ def differences(out: SimulatedRollouts, without: SimulatedRollouts, row: int) ->
     return result
 
 
-def _changes(acts: float, null_change: float, allowed: float) -> list[str]:
-    faults = []
-    if not acts > LEAST:
-        faults.append(
-            f"changes nothing at its nominal value: {acts:.2g} in the signal that changes most, at least {LEAST:g} is "
-            "wanted; make the nominal value larger, or write into the fields in place (fields.command.latency += …)"
+def _changes(acts: float) -> list[str]:
+    return [
+        f"changes nothing at its nominal value: {acts:.2g} in the signal that changes most, at least {LEAST:g} is "
+        "wanted; make the nominal value larger, or write into the fields in place (fields.command.latency += …)"
+    ] * (not acts > LEAST)
+
+
+def _at_null(use: EffectUse, beside: float, alone: float, allowed: float) -> str:
+    """Why the row at the null value moves otherwise than without the effect, among other rows and by itself."""
+    if alone <= allowed:
+        return (
+            f"reaches over from one simulation to another: at its null value it changes {beside:.2g} beside others, "
+            "nothing alone; apply() may write each simulation's own value only, values[i] to row i"
         )
-    if not null_change <= allowed:
-        faults.append(
-            f"changes something at its null value: {null_change:.2g}, allowed is {allowed:.2g}; add to what stands in "
-            "a field or multiply it, each simulation by its own value, so that the null value leaves it as it is"
-        )
-    return faults
+    return (
+        f"changes something at its null value ({_nulls(use)}): {alone:.2g}, allowed is {allowed:.2g}; null must be "
+        "where the effect vanishes, and apply() must add to the field (+=) or multiply it (*=), not replace it"
+    )
+
+
+def _nulls(use: EffectUse) -> str:
+    return ", ".join(f"{p.name.rpartition('.')[2]} = {p.null:g}" for p in use.parameters if p.null is not None)
 
 
 def _idle(use: EffectUse, out: SimulatedRollouts) -> list[str]:
@@ -196,8 +207,9 @@ def _overwrites(simulator: Simulator, model: Model, use: EffectUse, rig: Rig) ->
     after, first, second = written(null), written(nominal), written(nominal)
     lost = [n for n, array in before.items() if not np.allclose(after[n], array, rtol=EXACT, atol=EXACT)]
     faults = [
-        f"changes something at its null value: fields.{name}, as other effects may have left it; add to it (+=) or "
-        "multiply it (*=), each simulation by its own value, so that the null value leaves it as it is"
+        f"changes something at its null value ({_nulls(use)}): fields.{name}, as other effects may have left it; null "
+        "must be where the effect vanishes, and apply() must add to the field (+=) or multiply it (*=), each "
+        "simulation by its own value, not replace it"
         for name in lost
     ]
     if any(not np.array_equal(first[n], second[n]) for n in before):

@@ -61,8 +61,14 @@ FAULTS = {  # what a user may get wrong: (the text of a good file, its replaceme
     "values changed": (LINE, '    values["stiffness"] *= 0.5', "changes the values that it is given"),
     "NaN": (LINE, '    fields.model["jnt_stiffness"][:] = float("nan")', "NaN or infinity into fields.model"),
     "nothing happens": (LINE, "    pass", "changes nothing at its nominal value"),
+    "wrong null": ("null=0.0", "null=0.5", r"at its null value \(stiffness = 0.5\).*null must be where the effect"),
+    "includes nothing": ("    apply=apply,", '    apply=apply,\n    includes=("nope",),', "includes 'nope', allowed"),
     "acts at null": ('+= values["stiffness"][:, None]', "+= 1.0", "changes something at its null value"),
-    "overwrites": ('+= values["stiffness"][:, None]', '= values["stiffness"][:, None]', "null value: fields.model"),
+    "overwrites": (
+        '+= values["stiffness"][:, None]',
+        '= values["stiffness"][:, None]',
+        r"\(stiffness = 0\): fields.model",
+    ),
     "random": (
         'values["stiffness"][:, None]',
         'values["stiffness"][:, None] * __import__("numpy").random.rand()',
@@ -77,7 +83,7 @@ FAULTS = {  # what a user may get wrong: (the text of a good file, its replaceme
     "reaches over": (
         'values["stiffness"][:, None]',
         'values["stiffness"].mean()',
-        "changes something at its null value",
+        "reaches over from one simulation to another",
     ),
     "diverges": (
         LINE,

@@ -48,7 +48,8 @@ def guard(measurements: Sequence[Measurement]) -> list[str]:
     """Findings about the recordings and what their reader had to leave out, each told once for several rollouts."""
     measurements = [without_spikes(m) for m in measurements]
     followings = [Following(m) for m in measurements]
-    rate = clock_rate(followings)
+    sane = [_in_units(m, following) for m, following in zip(measurements, followings, strict=True)]
+    rate = clock_rate(followings) if all(sane) else 1.0  # in another unit every clock looks wrong
     clocks, odd = aligned(measurements, followings).findings, _uneven_repeats(measurements)
     near, wired = _no_repeats(measurements), _wired(measurements, followings)
     findings = [
@@ -230,6 +231,12 @@ def _not_simulated(m: Measurement) -> list[str]:
     left = [name for name in missing_sensors(load_rig(m.rig)) if getattr(m, name) is not None]
     told = ", ".join(left).replace("_", " ")
     return [f"The rig {m.rig} has no sensor for {told}: that is not compared"] if left else []
+
+
+def _in_units(m: Measurement, following: Following) -> bool:
+    """Whether positions and times are in the units that they should have, as far as that shows at once."""
+    steps = np.diff(m.time)
+    return not following.off_unit and (not len(steps) or SAMPLE_GAPS[0] <= np.median(steps) <= SAMPLE_GAPS[1])
 
 
 def _ordered(m: Measurement) -> bool:
