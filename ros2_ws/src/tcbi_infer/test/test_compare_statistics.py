@@ -227,6 +227,14 @@ def test_commands_that_were_taken_for_degrees_are_named():
     assert not to_mend([resting]), "nothing tells a small motion from one in another unit"
 
 
+def test_a_reading_that_wraps_round_is_named_as_that():
+    sound = recording()
+    position = sound.joint_position.copy()
+    position[100:, 3] += 2 * np.pi
+    (finding,) = to_mend([dataclasses.replace(sound, joint_position=position)])
+    assert finding.startswith(f"{sound.joint_names[3]} jumps by a whole turn at 2.02 s")
+
+
 def test_what_is_often_far_off_is_no_broken_reading():
     sound = recording()
     position = sound.joint_position.copy()

@@ -138,7 +138,7 @@ def _as_json(found: "list[Round]", paths: list[Path], *, saved: bool) -> dict[st
 def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> None:
     from tcbi_infer.diagnose import detectable, excitation
     from tcbi_infer.diagnose.adopt import objection
-    from tcbi_infer.diagnose.evidence import CANNOT_TELL, OUTSIDE_LIBRARY, step_label
+    from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, OUTSIDE_LIBRARY, step_label
 
     for finding in d.guards:
         if finding not in noted:  # told before the search
@@ -153,14 +153,15 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
     for e in (*d.ranking[:SHOWN], *(e for e in d.ranking[SHOWN:] if e.use in d.uses)):
         after = e.error_after if e.refined else None
         rows.append([e.use, e.elpd_gain, e.elpd_se, e.statistic, e.error_before, after, e.sizes_in_words()])
-    console.table(f"{d.model}: candidates, best first", head, rows)
+    if rows:
+        console.table(f"{d.model}: candidates, best first", head, rows)
     for e in (e for e in d.ranking if e.refined):
         alike = f"; looks like {', '.join(e.confused_with)}" if e.confused_with else ""
         print(f"  {e.use}: {'accepted' if e.accepted else 'not accepted: ' + e.reason}{alike}")
     if d.detectable:
         console.table(detectable.TITLE, detectable.HEAD, detectable.rows(d.detectable))
     print(f"{d.verdict}: {d.statement}")
-    for claim in d.claims:
+    for claim in () if d.to_mend else d.claims:  # nothing was tried
         print(f"  {claim}")
     if d.untestable:
         print(f"  not testable with these rollouts: {', '.join(d.untestable)}")
@@ -178,7 +179,7 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
         )
     fitted = [e.use for e in d.ranking if e.refined]
     if not added and d.uses and d.uses[0] in fitted and not objection(d.to_json(), d.uses[0]):
-        sure = any(e.accepted and e.use == d.uses[0] for e in d.ranking)
+        sure = d.verdict == EFFECT
         trial = "" if sure else "              # to try it: it is not certain"
         print(f"next: ./tcbi add {d.uses[0]} --model {d.model}{trial}")
     for use in (use for use in d.uses if use not in fitted):

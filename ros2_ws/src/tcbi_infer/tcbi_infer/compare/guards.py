@@ -124,7 +124,8 @@ def _sources(measurements: Sequence[Measurement]) -> list[str]:
 
 def unchecked(measurements: Sequence[Measurement]) -> tuple[str, ...]:
     """Rollouts whose joints tell nothing of their commands, so that no clock, wiring or unit can be checked by them."""
-    return tuple(m.rollout_id for m in measurements if not Following(m).told)
+    pairs = [(m, Following(m)) for m in map(without_spikes, measurements)]
+    return tuple(m.rollout_id for m, f in pairs if not f.told and not (_ordered(m) and units(m, f)))
 
 
 def unchecked_line(unchecked: Sequence[str], rollouts: Sequence[str]) -> str:

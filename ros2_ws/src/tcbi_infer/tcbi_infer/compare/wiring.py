@@ -8,6 +8,7 @@ from scipy.optimize import linear_sum_assignment
 from tcbi_infer.compare.clocks import MOVES, Following, correlation
 from tcbi_infer.compare.replicates import by_torque
 from tcbi_infer.compare.signals import reference
+from tcbi_infer.spikes import without_spikes
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.rig import Rig
 from tcbi_sim.rigs import load_rig, rig_names
@@ -27,12 +28,16 @@ SIGN = "its sign may be mirrored"
 COMMANDED = 1 / 30  # share of its command that any joint moves
 DROOP = 0.5  # share of its command that a joint at work still moves
 BEYOND = 1.5  # of a rig's joint range, which no zero offset explains
+WRAP = 0.3  # rad from a whole turn, of a jump between two samples that is one
+SMOOTH = 1.0  # rad between two samples, that a joint's other readings stay below
 RUSH = 5.0  # times the speed of a rig's joint without load
 ALL_BUT_SPIKES = 0.99  # of the samples
 
 
 def units(m: Measurement, following: Following) -> list[str]:
-    """Findings of positions or commands that are not in rad."""
+    """Findings of positions or commands that are not in rad, or that jump by whole turns."""
+    if wrapped := _wrapped(m):
+        return wrapped
     largest = float(np.quantile(np.nan_to_num(np.abs(m.joint_position)).max(axis=1), ALL_BUT_SPIKES))
     slope = float(np.nanmedian(following.gain)) if following.told and np.isfinite(following.gain).any() else 1.0
     if following.off_unit:
@@ -52,6 +57,20 @@ def units(m: Measurement, following: Following) -> list[str]:
     if largest > 4 * np.pi and not turns:
         return ["Joint positions exceed two turns: these look like degrees, or an encoder that lost count"]
     return [] if m.rig not in rig_names() else _beyond_rig(m, largest, load_rig(m.rig))
+
+
+def _wrapped(m: Measurement) -> list[str]:
+    jumps = np.nan_to_num(np.abs(np.diff(m.joint_position, axis=0)))
+    turns = np.abs(jumps - 2 * np.pi) < WRAP
+    smooth = np.where(turns, 0.0, jumps).max(axis=0, initial=0.0) < SMOOTH
+    found = []
+    for j in np.flatnonzero(turns.any(axis=0) & smooth):
+        at = m.time[1 + int(np.argmax(turns[:, j]))]
+        found.append(
+            f"{m.joint_names[j]} jumps by a whole turn at {at:.2f} s: its reading wrapped round; unwrap the log "
+            "(numpy.unwrap) and import it again"
+        )
+    return found
 
 
 def _off_unit(slope: float) -> str:
@@ -194,7 +213,8 @@ def _some(of: Sequence[str]) -> str:
 
 def unjudged(measurements: Sequence[Measurement]) -> tuple[str, ...]:
     """Joints whose wiring no rollout tells, of rollouts of one rig in which that of others is told."""
-    told = [(m, f) for m, f in ((m, Following(m)) for m in measurements) if f.told and f.seconds() >= LEAST_WIRING]
+    pairs = [(m, Following(m)) for m in map(without_spikes, measurements)]
+    told = [(m, f) for m, f in pairs if f.told and f.seconds() >= LEAST_WIRING]
     judged = {m.joint_names[j] for m, f in told for j in f.joints[_follows(f.pairs(_found(f))[1])]}
     return tuple(dict.fromkeys(name for m, _ in told for name in m.joint_names if name not in judged))
 
