@@ -57,7 +57,7 @@ def test_the_worst_joint_leads_the_sentences_and_has_its_plot(comparison, page):
 
 
 def test_the_worst_moments_the_maps_and_the_ladder_are_on_the_page(page):
-    for words in ("The worst moments", "What the error grows with", "the robot against itself", "from above"):
+    for words in ("The ten worst moments", "What the error grows with", "the robot against itself", "from above"):
         assert words in page
     assert page.count("<figure") >= 7
     assert (
