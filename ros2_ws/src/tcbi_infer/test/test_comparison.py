@@ -126,7 +126,7 @@ def test_the_ladder_leads_from_the_base_model_to_the_one_compared(rollouts):
     assert [m.version for m in line] == ["hexapod-v0", "hexapod-v1"]
     c = compare(child, rollouts, particles=0)
     rungs = ladder(c, line, rollouts)
-    assert [r.label for r in rungs] == ["hexapod-v0: base model", "hexapod-v1: with backlash"]
+    assert [r.label for r in rungs] == ["hexapod-v0: base model, not fitted", "hexapod-v1: with backlash"]
     assert [r.fitted_here for r in rungs] == [False, True]
     assert rungs[0].error_over_floor == pytest.approx(error_figure(MODEL, rollouts, floor=c.floor))
     report = Report("x")

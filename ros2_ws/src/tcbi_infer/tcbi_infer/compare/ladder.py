@@ -12,6 +12,7 @@ from tcbi_infer.seen import used_before
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 
+UNFITTED = "base model, not fitted"  # at the middle of its parameters' ranges
 PIECE = re.compile(r"-\d{2,}$")  # what the id of a piece has behind that of its recording
 
 
@@ -84,7 +85,7 @@ def ladder(
 def label(model: Model, before: Model | None) -> str:
     """A version and what it has that the one before has not."""
     if before is None:
-        return f"{model.version}: {', '.join(model.effects) or 'base model'}"
+        return f"{model.version}: {', '.join(model.effects) or ('base model' if model.parent else UNFITTED)}"
     added = [e for e in model.effects if e not in before.effects]
     removed = [e for e in before.effects if e not in model.effects]
     words = [f"with {', '.join(added)}"] if added else []
