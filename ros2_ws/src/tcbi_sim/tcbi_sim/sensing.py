@@ -89,7 +89,12 @@ def sense(raw: Samples, fields: SensingFields) -> Samples:
 
 
 def delay(samples: Samples, latency: np.ndarray, times: np.ndarray) -> Samples:
-    """Readings as they arrive at `times` (n,) when each simulation's sensors lag by `latency` (B,) s."""
+    """Readings as they arrive at `times` (n,) when each simulation's sensors lag by `latency` (B,) s.
+
+    Joint angles and attitude between two samples lie on the cubic through these and the two before: a straight line
+    would cut corners by as much as a robot differs from itself. It looks at nothing later, so that it does not matter
+    up to when a simulation has come.
+    """
     wanted = np.maximum(times[None, :] - latency[:, None], samples.time[0])
     after = np.clip(np.searchsorted(samples.time, wanted), 1, max(1, len(samples.time) - 1))
     if len(samples.time) == 1:
@@ -105,8 +110,22 @@ def delay(samples: Samples, latency: np.ndarray, times: np.ndarray) -> Samples:
             return np.where((share >= 1.0)[..., None], high, low)
         return low + share[..., None] * (high - low)
 
-    delayed = dataclasses.replace(samples.map(pick), time=times)
-    if delayed.attitude is not None:
+    x = share[..., None]
+    weights = (
+        -(x + 1) * x * (x - 1) / 6,
+        (x + 2) * x * (x - 1) / 2,
+        -(x + 2) * (x + 1) * (x - 1) / 2,
+        (x + 2) * (x + 1) * x / 6,
+    )
+
+    def curved(values: np.ndarray) -> np.ndarray:
+        """Before the first sample everything stood still."""
+        nodes = (values[rows, np.maximum(after - back, 0)] for back in (3, 2, 1, 0))
+        return sum(weight * node for weight, node in zip(weights, nodes, strict=True))
+
+    delayed = dataclasses.replace(samples.map(pick), time=times, joint_position=curved(samples.joint_position))
+    if samples.attitude is not None:
+        delayed.attitude = curved(samples.attitude)
         delayed.attitude /= np.linalg.norm(delayed.attitude, axis=-1, keepdims=True)
     return delayed
 

@@ -27,7 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     console.add_bags(parser)
     console.add_model(parser)
     console.add_report(parser)
-    parser.add_argument("--timestep", type=timestep, default=0.002, help="s at most, of a step (default: 0.002)")
+    parser.add_argument(
+        "--timestep",
+        type=timestep,
+        help="s at most, of a step (default: 0.002, or a half or quarter of it where that matters)",
+    )
     parser.add_argument(
         "--particles",
         type=between(0, 256),
@@ -51,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     console.note(f"replaying {counted(len(measurements), 'rollout')} in {model.version}")
     comparison = compare(model, measurements, timestep=args.timestep, particles=args.particles)
     line = lineage(model, store.history(model.rig))
-    rungs = ladder(comparison, line, measurements, timestep=args.timestep)
+    rungs = ladder(comparison, line, measurements)
     report = Report(
         "Model against measurement", f"Model {model.version}, {counted(len(comparison.rollouts), 'rollout')}."
     )

@@ -17,8 +17,10 @@ from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.scorer import Scorer, SignalError, Traces, error_over_floor
 from tcbi_infer.compare.steadiness import unsteady
+from tcbi_infer.compare.timestep import USUAL_STEP, fine_step
 from tcbi_infer.compare.wiring import unjudged
 from tcbi_infer.compare.worst import WorstMoment, worst
+from tcbi_sim.engine import SimulatedRollouts
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
@@ -62,6 +64,7 @@ class Comparison:
     distance: Traces | None = None
     unchecked: tuple[str, ...] = ()
     unjudged: tuple[str, ...] = ()
+    timestep: float = USUAL_STEP  # s, of the replay
 
     @property
     def not_checked(self) -> list[str]:
@@ -85,6 +88,7 @@ class Comparison:
             "error_over_floor": self.error_over_floor,
             "floor_from_replicates": self.floor.from_replicates,
             "guards": list(self.guards),
+            "timestep": self.timestep,
             "unchecked": list(self.unchecked),
             "unjudged": list(self.unjudged),
             "where": [self._place(f) for f in self.where],
@@ -111,7 +115,7 @@ def compare(
     measurements: Sequence[Measurement],
     *,
     parameters: np.ndarray | None = None,
-    timestep: float = 0.002,
+    timestep: float | None = None,
     particles: int = PARTICLES,
     seed: int = 0,
     floor: NoiseFloor | None = None,
@@ -122,7 +126,7 @@ def compare(
       model: whose mean parameters predict and whose particles give the bands.
       measurements: rollouts of the same rig.
       parameters: (P,) to predict with instead of the model's mean.
-      timestep: s, of the replay.
+      timestep: s, of the replay; None for 0.002 s, or less where that alone would move the prediction (`fine_step`).
       particles: simulated for the predictive bands, at most `MOST_PARTICLES`; 0 for none. Memory does not grow with
         them: they are simulated for a few motions at a time.
       seed: of the draw of particles.
@@ -138,15 +142,18 @@ def compare(
     draws = mean[None]
     if particles and parameters is None:
         draws = model.sample(np.random.default_rng(seed), particles)
-    rollouts = replay.simulate(model, mean[None], timestep=timestep)
-    predicted = replay.by_rollout(replay.channels(rollouts)[0])
+    given, step = floor, timestep or USUAL_STEP
+    rollouts, predicted = _predicted(replay, model, mean, step)
+    floor = given or replay.noise_floor(replay.measured - predicted)
+    if timestep is None and (step := fine_step(replay, model, floor.values)) < USUAL_STEP:
+        rollouts, predicted = _predicted(replay, model, mean, step)
+        floor = given or replay.noise_floor(replay.measured - predicted)
     residual = replay.measured - predicted
-    floor = floor or replay.noise_floor(residual)
     if len(floor.values) != len(replay.layout.channels):
         raise CompareError(f"the floor has {len(floor.values)} signals, these rollouts {len(replay.layout.channels)}")
     scorer = Scorer(replay, floor, predicted, _task_mean(task.predicted(replay, rollouts, _all(replay))))
     for sets in _chunks(replay, len(draws)):
-        scorer.take(sets, replay.simulate(model, draws, sets, timestep))
+        scorer.take(sets, replay.simulate(model, draws, sets, step))
     names = tuple(m.rollout_id for m in replay.measurements)
     findings = guard(measurements) + common_lag(replay.layout, replay.time, replay.shown, predicted, names)
     findings += _idle_parameters(model, replay, mean, floor.values)
@@ -173,7 +180,14 @@ def compare(
         scorer.traces(task.DISTANCE),
         unchecked(compared := [m for m in measurements if m.rollout_id in names]),
         unjudged(compared),
+        step,
     )
+
+
+def _predicted(replay: Replay, model: Model, mean: np.ndarray, step: float) -> tuple[SimulatedRollouts, np.ndarray]:
+    """The simulations with (P,) parameters, and the (R, T, C) channels that they predict."""
+    rollouts = replay.simulate(model, mean[None], timestep=step)
+    return rollouts, replay.by_rollout(replay.channels(rollouts)[0])
 
 
 def error_figure(

@@ -12,6 +12,7 @@ from tcbi_infer.compare.ladder import not_seen, seen_by
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.scorer import diverged
+from tcbi_infer.compare.timestep import fine_step
 from tcbi_infer.seen import used_before
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
@@ -55,9 +56,11 @@ def history(models: Sequence[Model], measurements: Sequence[Measurement] = ()) -
     replay = Replay.of(models[0], unseen)
     names = tuple(m.rollout_id for m in replay.measurements)
     floor = common_floor(models, replay)
+    step = min(fine_step(replay, m, floor.values) for m in (models[0], models[-1]))
+    errors = [error_figure(m, unseen, timestep=step, floor=floor) for m in models]
     return [
-        VersionError(m.version, m.parent, m.effects, error_figure(m, unseen, floor=floor), names, floor.from_replicates)
-        for m in models
+        VersionError(m.version, m.parent, m.effects, error, names, floor.from_replicates)
+        for m, error in zip(models, errors, strict=True)
     ]
 
 

@@ -58,23 +58,20 @@ def not_seen(measurements: Sequence[Measurement], seen: Collection[str]) -> list
     return [m for i, m in enumerate(measurements) if i not in known]
 
 
-def ladder(
-    comparison: Comparison, line: Sequence[Model], measurements: Sequence[Measurement], *, timestep: float = 0.002
-) -> tuple[Rung, ...]:
-    """The error of each version on the same rollouts, over the same floor.
+def ladder(comparison: Comparison, line: Sequence[Model], measurements: Sequence[Measurement]) -> tuple[Rung, ...]:
+    """The error of each version on the same rollouts, over the same floor, with the same time step.
 
     Args:
       comparison: of the last version.
       line: versions, oldest first, as `lineage` gives them.
       measurements: the rollouts compared.
-      timestep: s, of the replay.
     """
     rungs = []
     for before, model in zip([None, *line], line, strict=False):
         error = (
             comparison.error_over_floor
             if model.version == comparison.model
-            else error_figure(model, measurements, timestep=timestep, floor=comparison.floor)
+            else error_figure(model, measurements, timestep=comparison.timestep, floor=comparison.floor)
         )
         seen = seen_by(model, line)
         fitted = any(was_seen(m, seen) for m in comparison.replay.measurements)

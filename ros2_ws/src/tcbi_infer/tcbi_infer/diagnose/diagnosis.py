@@ -19,6 +19,7 @@ from tcbi_infer.compare.noise import NoiseFloor, mean_of
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
 from tcbi_infer.compare.steadiness import unsteady
+from tcbi_infer.compare.timestep import fine_step
 from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.agreement import agreement, disagreeing
 from tcbi_infer.diagnose.at_random import AT_RANDOM, suspected
@@ -129,6 +130,9 @@ class _Run:
         self.uses = list(uses) if uses is not None else tried(model, settings)
         self.floor: NoiseFloor = self.replay.noise_floor(self.replay.measured - self.replay.by_rollout(at_mean))
         self.problem = Problem.of(self.replay, self.floor.values)
+        if settings.timestep < settings.coarse:
+            step = min(settings.timestep, fine_step(self.replay, model, self.floor.values, list(self.split.open)))
+            self.settings = dataclasses.replace(settings, timestep=step)
 
     def _without_diverging(self, at_mean: np.ndarray) -> tuple[Split, tuple[str, ...]]:
         """Which sets are open and which sealed, and a guard on those that diverge wherever a fit could start.
