@@ -30,7 +30,7 @@ def without_spikes(m: Measurement) -> Measurement:
             f"{'s' * (len(at) == 1)} up to {jump:.3g} rad off the readings before and after: broken on their way, and "
             "left out"
         )
-        gaps += [("joint_position", float(m.time[k - 1]), float(m.time[k + 1])) for k in at]
+        gaps += [("joint_position", float(m.time[k - 1]), float(m.time[k + 1])) for k in at.tolist()]
     return dataclasses.replace(m, joint_position=q, gaps=tuple(gaps), notes=tuple(notes))
 
 
