@@ -22,15 +22,19 @@ def motions(count: int = 2, duration: float = 2.4) -> list[Commands]:
 
 
 def walk(
-    model: Model | None = None, values: np.ndarray | None = None, repeats: int = 2, count: int = 2
+    model: Model | None = None,
+    values: np.ndarray | None = None,
+    repeats: int = 2,
+    count: int = 2,
+    timestep: float = 0.002,
 ) -> list[Measurement]:
-    """Every motion `repeats` times: simulated at 2 ms steps, with white noise on joints and tracker."""
+    """Every motion `repeats` times: simulated at some steps (s), with white noise on joints and tracker."""
     model = model or base_model("hexapod")
     values = model.mean() if values is None else values
     rng = np.random.default_rng(0)
     commands = motions(count)
     scenarios = [Scenario("balance", 2.4, slope_roll=0.1 * k) for k in range(count)]
-    out = simulate(model, values[None], scenarios, commands=commands)
+    out = simulate(model, values[None], scenarios, commands=commands, timestep=timestep)
     return [
         noisy(out.measurement(0, s), commands[s], s, repeat, rng) for s in range(count) for repeat in range(repeats)
     ]

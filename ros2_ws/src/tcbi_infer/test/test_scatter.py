@@ -105,8 +105,8 @@ def test_the_version_that_a_diagnosis_makes_knows_the_gains_and_predicts_better_
     gains = 1.0 + SCATTER * np.random.default_rng(1).normal(size=18)
     robot = dataclasses.replace(model, joint_gains=tuple(gains / np.exp(np.log(gains).mean())))
     values = np.array([0.7, 0.75, 2.0])
-    recorded = walk(robot, values, count=4)
-    seen, unseen = recorded[:-2], recorded[-2:]
+    recorded = walk(robot, values, count=5, timestep=0.0005)
+    seen, unseen = recorded[:-4], recorded[-4:]
     settings = dataclasses.replace(QUICK, escape=False)
     fitted = adopt(model, "", diagnose(model, seen, uses=[], settings=settings).to_json())
     assert np.corrcoef(fitted.joint_gains, robot.joint_gains)[0, 1] > 0.8

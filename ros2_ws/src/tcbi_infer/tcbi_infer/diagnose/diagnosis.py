@@ -130,9 +130,6 @@ class _Run:
         self.uses = list(uses) if uses is not None else tried(model, settings)
         self.floor: NoiseFloor = self.replay.noise_floor(self.replay.measured - self.replay.by_rollout(at_mean))
         self.problem = Problem.of(self.replay, self.floor.values)
-        if settings.timestep < settings.coarse:
-            step = min(settings.timestep, fine_step(self.replay, model, self.floor.values, list(self.split.open)))
-            self.settings = dataclasses.replace(settings, timestep=step)
 
     def _without_diverging(self, at_mean: np.ndarray) -> tuple[Split, tuple[str, ...]]:
         """Which sets are open and which sealed, and a guard on those that diverge wherever a fit could start.
@@ -165,6 +162,9 @@ class _Run:
     def go(self) -> Diagnosis:
         """All stages in order."""
         self.problem, coarse = fit_base(self.problem, self.model, self.sets, self.settings, self.progress)
+        if self.settings.timestep < self.settings.coarse:
+            step = fine_step(self.replay, self.model, self.floor.values, list(self.sets), coarse.parameters)
+            self.settings = dataclasses.replace(self.settings, timestep=min(self.settings.timestep, step))
         found = self._search(coarse)
         rough = [fit for fit, _ in found.fits.values()]
         if self.mend:
