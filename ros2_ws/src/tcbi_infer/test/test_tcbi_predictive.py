@@ -34,7 +34,7 @@ def test_a_robot_with_an_attitude_is_followed_in_it_too_and_few_draws_say_nothin
     robot = Problem.of(base_model("hexapod"), hexapod_rollouts("balance"), timestep=0.01)
     draws = around((0.5, 0.5, 0.5), 0.1, count=12)
     assert set(departures(robot, draws, np.zeros(12)).signals) == {JOINTS, TILTS}
-    assert departures(robot, draws, np.r_[0.0, np.full(11, -40.0)]) == ({}, 1, ())
+    assert departures(robot, draws, np.r_[0.0, np.full(11, -40.0)]) == ({}, 1, (), ())
 
 
 def test_a_wide_posterior_is_looked_through_until_what_is_missed_falls_no_further() -> None:

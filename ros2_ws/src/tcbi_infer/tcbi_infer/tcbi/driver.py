@@ -25,6 +25,7 @@ from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
 from tcbi_infer.tcbi.goodness import goodness_of_fit, piled, strays, unfinished
 from tcbi_infer.tcbi.method import Generation, Method, find_method
+from tcbi_infer.tcbi.mixed import mixed
 from tcbi_infer.tcbi.pooled import JS
 from tcbi_infer.tcbi.predictive import Departures, departures
 from tcbi_infer.tcbi.prior import doubtful
@@ -320,7 +321,8 @@ class _Loop:
         if distrust > 1 and self.method.distrusted is not None:
             log_weights = _log_shares(self.method.distrusted(self.state, distrust)[kept])
             history[-1] = {**history[-1], "alpha": last.alpha / distrust, **self._moments(unit, log_weights)}
-        lines = [*strays(seen, problem.rollout_ids), *wrong]
+        apart = mixed(model.parameters, seen.each, problem.rollout_ids)
+        lines = [*strays(seen, problem.rollout_ids), *apart, *wrong]
         judged = self.method.judges and fits is True and not (self.known is not None and doubtful(model))
         found = estimates(model.parameters, unit, log_weights, self.known, judged)
         lines += piled(model.parameters, unit, log_weights, last, {e.name for e in found if e.identified})

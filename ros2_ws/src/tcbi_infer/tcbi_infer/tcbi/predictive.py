@@ -50,6 +50,7 @@ class Departures(NamedTuple):
     signals: dict[str, Departure]  # that were measured; empty if too few simulations ended well
     particles: int  # simulated for it
     nearest: tuple[float, ...] = ()  # (P,) of the mixture of posterior draws that comes nearest; beyond 0 and 1, too
+    each: tuple[tuple[float, ...], ...] = ()  # (R, P) the same for each rollout alone
 
     @property
     def far(self) -> dict[str, Departure]:
@@ -103,7 +104,8 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
         return Departures({}, len(draws))
     ended, wide = draws[found.valid], found.products()
     nearest = best = _mixture(wide[JOINTS].sum(axis=0)) @ ended
-    told = Departures({}, len(draws), tuple(nearest.tolist()))
+    each = tuple(tuple((_mixture(own) @ ended).tolist()) for own in wide[JOINTS])
+    told = Departures({}, len(draws), tuple(nearest.tolist()), each)
     for _ in range(ROUNDS if problem.prior is None else 1):  # further looks could leave a prior that is not flat
         best = best.clip(ended.min(axis=0), ended.max(axis=0))
         close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
