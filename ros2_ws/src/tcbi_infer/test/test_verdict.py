@@ -353,6 +353,14 @@ def test_of_a_value_that_stopped_at_an_end_it_is_said_which_way_it_may_go_on(nul
     assert line.endswith(f"{words}.") and "its interval is one-sided" in line
 
 
+def test_a_base_parameter_at_its_end_is_told_as_of_the_model_without_the_effects_that_a_verdict_names():
+    gain = Parameter("gain", "N m/rad", 2.0, 12.0, 5.0)
+    base = evidence("", parameters=(estimate(gain, 1.0, 0.9, 1.0),))
+    (beside,) = bounds(base, [evidence("backlash")])
+    (alone,) = bounds(base, [])
+    assert beside == f"Without an effect, {alone}" and alone.startswith("gain stopped at an end")
+
+
 def test_what_the_unfitted_model_does_better_passes_not_every_test_but_one():
     sealed = evidence("backlash", after=3.1, before=3.0, held_out=(3.0, 1.5))
     assert accept(sealed, 3.0, 9.0) == (False, CONTRADICTED)

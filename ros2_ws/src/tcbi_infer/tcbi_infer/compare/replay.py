@@ -23,6 +23,7 @@ from tcbi_sim.rigs import load_rig, missing_sensors
 LEAST_SAMPLES = 10
 SPREAD = 1.5  # sets whose lengths differ by less are simulated together
 NEAR = 0.2  # periods of a slow recording from one of its readings: further off a sample has less noise than these
+SETTLE_S = 0.3  # s at most in the first posture: robots simulated with their true parameters err as with 1 s
 SLOW = 1.5  # periods of the grid between two readings: more leave samples that no reading stands for
 
 
@@ -254,5 +255,5 @@ def _asked(measurements: Sequence[Measurement], group: Replicates, duration: flo
     members = [measurements[i] for i in group.members]
     first = members[0]
     time = np.mean([m.commands.time for m in members], axis=0)
-    scenario = dataclasses.replace(first.scenario, duration=duration)
+    scenario = dataclasses.replace(first.scenario, duration=duration, settle=min(first.scenario.settle, SETTLE_S))
     return scenario, dataclasses.replace(first.commands, time=time)

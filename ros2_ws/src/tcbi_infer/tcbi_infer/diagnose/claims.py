@@ -71,7 +71,8 @@ def bounds(base: Evidence | None, named: Sequence[Evidence]) -> list[str]:
         for p in (p for p in e.parameters if p.at_bound):
             why = "a wrong range or another missing effect may be behind it" if e is base else _beyond(p)
             end = with_unit(f"{p.value:.3g}", p.unit)
-            told.append(f"{p.name} stopped at an end of its range, {end}: its interval is one-sided, and {why}.")
+            where = "Without an effect, " if e is base and named else ""
+            told.append(f"{where}{p.name} stopped at an end of its range, {end}: its interval is one-sided, and {why}.")
     cut_off = (p.name for e in named for p in e.parameters if p.cut_off)
     return told + [f"The interval of {name} ends where its range does, and might be wider." for name in cut_off]
 

@@ -180,7 +180,8 @@ class _Run:
         # with one kind of motion nothing tells candidates apart; one that is asked for alone is fitted all the same
         comparable = (len(self.split.folds) > 1 or len(self.uses) == 1) and not self.mend
         uses = self.uses if comparable and base.total < np.inf else []
-        directions = simulate_directions(self.problem, base, uses, self.sets, self.settings.coarse, self._screened())
+        step = self.settings.of_screening
+        directions = simulate_directions(self.problem, base, uses, self.sets, step, self._screened())
         judge = Judge(self.model, self.problem, self.split, self.floor, self.settings.timestep)
         before = judge.judge(base)
         if not directions.uses:

@@ -6,6 +6,7 @@ Scatter between joints of the same make is real but is no missing effect: it ent
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from tcbi_infer.diagnose.least_squares import bounded_step, gram
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.slopes import Slopes, unbroken
-from tcbi_infer.diagnose.valley import points_along, weakest
+from tcbi_infer.diagnose.valley import at_level, points_along, scaled_together, weakest
 from tcbi_sim.model import Model
 
 RADII = (0.12, 0.08)  # of a parameter's range: narrow slopes alone stall where feet stick and slip
@@ -24,11 +25,12 @@ FOLLOWED = 2  # points along a valley, the best by the slopes, that a fit may go
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
 SCALINGS = (0.5, 0.7, 1.4, 2.0)  # of all forces and masses, to others
 RACERS = 2  # far points that are fitted a little on few sets before one is chosen
-WORTH = 0.03  # of the loss: a far point that is lower by less is not followed
+WORTH = 0.05  # of the loss: a far point that is lower by less is not followed
 RACE = (0.08, 0.05)  # radii of these fits
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
 ROUGH_STEP = 0.01  # s at most, of the simulations that do
+SLOPES_STRETCH = 2.5  # times a fit's time step, of the simulations that tell its slopes
 SMALL_STEP = 0.005  # of a range: the last step of a converged fit
 SMALL_GAIN = 0.5  # nats
 SMALL_SHARE = 0.003  # of the loss
@@ -119,12 +121,20 @@ class _Place:
     scale: np.ndarray
 
 
+def slopes_step(timestep: float) -> float:
+    """Time step (s) of the simulations that tell the slopes of a fit with another one, which is no longer.
+
+    Where feet stick and slip, slopes differ no more from one step to the other than from one place to the next.
+    """
+    return max(timestep, min(ROUGH_STEP, SLOPES_STRETCH * timestep))
+
+
 class Fitter:
     """Fits models of one structure to the open sets of a problem."""
 
     def __init__(self, problem: Problem, model: Model, scatter: Nuisance, sets: np.ndarray, timestep: float) -> None:
         self.problem, self.model, self.scatter, self.timestep = problem, model, scatter, timestep
-        self.sets = np.asarray(sets, int)
+        self.sets, self.slopes_step = np.asarray(sets, int), slopes_step(timestep)
 
     def few_positions(self) -> np.ndarray:
         """Positions of a few open sets that stand for all in a first fit."""
@@ -135,10 +145,10 @@ class Fitter:
         step = max(self.timestep, ROUGH_STEP)
         return Fitter(self.problem, self.model, self.scatter, self.sets[self.few_positions()], step)
 
-    def predict(self, unit: np.ndarray) -> np.ndarray:
-        """(N, P) unit vectors -> (N, open sets, T, C)."""
-        unit = np.atleast_2d(unit)
-        return self.problem.replay.predict(self.model, self.model.from_unit(unit), list(self.sets), self.timestep)
+    def predict(self, unit: np.ndarray, timestep: float | None = None) -> np.ndarray:
+        """(N, P) unit vectors -> (N, open sets, T, C), with another time step (s) if one is given."""
+        values = self.model.from_unit(np.atleast_2d(unit))
+        return self.problem.replay.predict(self.model, values, list(self.sets), timestep or self.timestep)
 
     def residual(self, predicted: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """(..., open sets, T, C) with the nuisances taken out."""
@@ -213,17 +223,17 @@ class Fitter:
         delta = np.zeros(self.scatter.effect.shape[-1]) if nuisance is None else nuisance.copy()
         unit, predicted = self.best_start(starts, delta)
         place = self._place(unit, delta, predicted)
-        slopes = Slopes(self.predict)
-        slopes.remember(unit[None], predicted[None])
+        slopes = Slopes(functools.partial(self.predict, timestep=self.slopes_step))
+        self._remember(slopes, unit[None], predicted[None])
         jacobian, bend = np.zeros((*place.residual.shape, len(unit))), np.zeros_like(place.residual)
         converged = False
         for number, radius in enumerate(radii):
             if valleys and number > 0:
                 place = self._along_the_valley(place, jacobian, bend, slopes)
             for _ in range(most):
-                jacobian, bend = slopes.at(place.unit, place.predicted, radius)
+                jacobian, bend = slopes.at(place.unit, self._for_slopes(place), radius)
                 before, tried = self._stepped(place, jacobian, bend)
-                slopes.remember(np.array([t.unit for t in tried]), np.array([t.predicted for t in tried]))
+                self._remember(slopes, [t.unit for t in tried], [t.predicted for t in tried])
                 best = min(tried, key=lambda t: t.total)
                 moved = float(np.max(np.abs(best.unit - place.unit)))
                 fell = before - best.total if best.total < before else 0.0
@@ -234,6 +244,16 @@ class Fitter:
                 if converged:
                     break
         return self._finish(place, jacobian, bend, converged)
+
+    def _remember(self, slopes: Slopes, units: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> None:
+        """Let slopes know of simulations that were made for something else, if they are of the same time step."""
+        if self.slopes_step == self.timestep:
+            slopes.remember(np.asarray(units), np.asarray(predicted))
+
+    def _for_slopes(self, place: "_Place") -> np.ndarray:
+        """(open sets, T, C) the prediction at a place, with the time step of those that slopes come from."""
+        same = self.slopes_step == self.timestep
+        return place.predicted if same else self.predict(place.unit, self.slopes_step)[0]
 
     def _place(self, unit: np.ndarray, nuisance: np.ndarray, predicted: np.ndarray) -> _Place:
         residual = self.residual(predicted, nuisance)
@@ -288,7 +308,7 @@ class Fitter:
         ]
         if followed:
             trials += self._trials(np.array(followed), place.nuisance, place.scale)
-        slopes.remember(np.array([t.unit for t in trials]), np.array([t.predicted for t in trials]))
+        self._remember(slopes, [t.unit for t in trials], [t.predicted for t in trials])
         best = min(trials, key=lambda t: t.total)
         return self._place(best.unit, best.nuisance, best.predicted) if best.total < before else place
 
@@ -361,23 +381,3 @@ class Fitter:
             bend,
             converged,
         )
-
-
-def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:
-    """(P,) unit vector with every force, mass and stiffness multiplied alike, which hardly changes a motion.
-
-    Only what the model takes as known (a rotor, a torque limit) tells the common factor, so it is the direction in
-    which fits creep.
-    """
-    result = unit.copy()
-    for i, p in enumerate(model.parameters):
-        if p.low >= 0 and (p.unit.startswith(("kg", "N"))):
-            result[i] = p.to_unit(np.clip(float(p.from_unit(unit[i])) * factor, p.low, p.high))
-    return result
-
-
-def at_level(unit: np.ndarray, parameter: int, level: float) -> np.ndarray:
-    """(P,) unit vector with one parameter elsewhere in its range."""
-    moved = unit.copy()
-    moved[parameter] = np.clip(level, 0.02, 0.98)
-    return moved

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import hadamard
 
-from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import RADII, Fit, Fitter, Nuisance, slopes_step
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import JOINT_GAINS
 from tcbi_sim.rigs import load_rig
@@ -21,6 +21,12 @@ def joint_scatter(problem: Problem, base: Fit, sets: np.ndarray, timestep: float
     The design of optimum multifactorial experiments, Biometrika 33, 1946), so that each slope is a mean over all
     simulations. Where feet stick and slip, predictions jump by more than one gain changes them: of one joint after the
     other the slopes were mostly these jumps.
+
+    Args:
+      problem: whose predictions these are.
+      base: the fit around which to change gains.
+      sets: the open ones.
+      timestep: s, of fits with it.
     """
     model, joints = with_scatter(base.model)
     if not joints:
@@ -28,7 +34,7 @@ def joint_scatter(problem: Problem, base: Fit, sets: np.ndarray, timestep: float
     signs = hadamard(1 << len(joints).bit_length())[:, 1 : len(joints) + 1].astype(float)
     gains = 1.0 + STEP * SCATTER * signs
     vectors = np.concatenate([np.tile(base.parameters, (len(signs), 1)), gains], axis=1)
-    predicted = problem.replay.predict(model, vectors, list(sets), timestep)
+    predicted = problem.replay.predict(model, vectors, list(sets), slopes_step(timestep))
     effect = np.zeros((*problem.observed.shape, len(joints)))
     effect[sets] = slopes(signs, predicted) / STEP
     return Nuisance(effect, joints, base.unit)
@@ -46,7 +52,7 @@ def relinearised(problem: Problem, fit: Fit, sets: np.ndarray, timestep: float) 
         if not (fit.scatter.names and fit.total < np.inf and moved.max() > NEAR):
             break
         scatter = joint_scatter(problem, fit, sets, timestep)
-        fit = Fitter(problem, fit.model, scatter, sets, timestep).run(fit.unit[None])
+        fit = Fitter(problem, fit.model, scatter, sets, timestep).run(fit.unit[None], radii=RADII[-1:])
     return fit
 
 

@@ -57,13 +57,14 @@ def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
     """(n, q) unit vectors of an effect's own parameters at which to look, around its null values.
 
     Two sizes of each parameter that has a null value, and all of them together; those that have none, and say where or
-    how, stand at their nominal values and at the corners of their ranges. A single point for an effect with one
-    parameter and many places, where the straight line through it has to do; and one size each way of a tilt or a bias,
-    whose null value lies inside its range, among several parameters: such an effect has no threshold.
+    how, stand at their nominal values and, with the larger size, at the corners of their ranges. A single point for an
+    effect with one parameter and many places, where the straight line through it has to do; and one size each way of
+    a tilt or a bias, whose null value lies inside its range, among several parameters: such an effect has no threshold,
+    and `with_sums` has several of them together.
     """
     own = model.parameters[base_count:]
     nominal = np.array([float(p.to_unit(p.nominal)) for p in own])
-    null = np.array([float(p.to_unit(p.null)) if p.null is not None else np.nan for p in own])
+    null = _own_null(model, base_count)
     sized, placed = np.nonzero(np.isfinite(null))[0], np.nonzero(~np.isfinite(null))[0]
     if many and len(own) == 1 and len(sized):
         up = 1 - null[0] >= null[0]
@@ -75,18 +76,36 @@ def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
     for i in sized:
         ways = [(sign, room) for sign, room in ((1, 1 - null[i]), (-1, null[i])) if room >= NO_ROOM]
         sizes = SIZES if len(ways) == 1 or len(own) == 1 else SIZES[-1:]
-        for sign, room in ways:
-            for size, place in itertools.product(sizes, places):
+        for (sign, room), size in itertools.product(ways, sizes):
+            for place in places if size == SIZES[-1] else places[:1]:
                 point = rest.copy()
                 point[placed] = place
                 point[i] = null[i] + sign * size * room
                 points.append(point)
-    for ends in itertools.product((0.0, 1.0), repeat=len(sized)) if len(sized) > 1 else ():
+    both_ways = not len(placed) and bool(np.all(np.minimum(null, 1 - null) >= NO_ROOM))
+    for ends in itertools.product((0.0, 1.0), repeat=len(sized)) if len(sized) > 1 and not both_ways else ():
         point = rest.copy()
         point[sized] += SIZES[-1] * (np.array(ends) - point[sized])
         if not np.allclose(point[sized], null[sized]):
             points.append(point)
     return np.unique(points, axis=0)
+
+
+def with_sums(null: np.ndarray, points: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a tilt or a bias about several axes, (n, q), and beside them those about several axes at once.
+
+    What these change is taken as the sum of what each axis alone changes, (n, ...): small turns and biases add up.
+
+    Args:
+      null: (q,) in the unit cube.
+      points: (n, q) in which one parameter each is off its null value.
+      change: (n, ...) of the prediction.
+    """
+    axes = [[*np.flatnonzero(points[:, i] != null[i]), None] for i in range(len(null))]
+    sums = [[k for k in chosen if k is not None] for chosen in itertools.product(*axes)]
+    several = [chosen for chosen in sums if len(chosen) > 1]
+    further = [null + (points[chosen] - null).sum(axis=0) for chosen in several]
+    return np.array([*points, *further]), np.array([*change, *(change[chosen].sum(axis=0) for chosen in several)])
 
 
 def simulate_directions(
@@ -115,6 +134,10 @@ def simulate_directions(
         if _influence(problem, change[alive], sets) < INFLUENCE:
             untestable.append(use)
             continue
+        null = _own_null(model, len(base.unit))
+        if len(null) > 1 and alive.all() and np.all((points != null).sum(axis=1) == 1):
+            points, change = with_sums(null, points, change)
+            alive = np.ones(len(points), bool)
         kept.append(use)
         models.append(model)
         for k in np.nonzero(alive)[0]:
@@ -183,6 +206,12 @@ def _predicted(
     model, points = candidate
     vectors = np.concatenate([np.repeat(unit[None], len(points), axis=0), points], axis=1)
     return problem.replay.predict(model, model.from_unit(vectors), sets, timestep)
+
+
+def _own_null(model: Model, base_count: int) -> np.ndarray:
+    """(q,) null values of an effect's own parameters in the unit cube, NaN where one has none."""
+    own = model.parameters[base_count:]
+    return np.array([float(p.to_unit(p.null)) if p.null is not None else np.nan for p in own])
 
 
 def _influence(problem: Problem, change: np.ndarray, sets: np.ndarray) -> float:

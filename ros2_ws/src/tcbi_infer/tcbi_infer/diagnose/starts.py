@@ -9,9 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tcbi_infer.diagnose.fit import RACE, RACERS, Fit, Fitter, scaled_together
+from tcbi_infer.diagnose.fit import RACE, RACERS, Fit, Fitter
 from tcbi_infer.diagnose.least_squares import gram
 from tcbi_infer.diagnose.screen import Screen, Targets
+from tcbi_infer.diagnose.valley import scaled_together
 from tcbi_sim.parameter import Parameter
 
 FACTORS = (0.5, 0.7, 1.4, 2.0, 2.8)  # of all forces and masses together

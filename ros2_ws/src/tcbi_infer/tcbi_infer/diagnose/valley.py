@@ -46,3 +46,23 @@ def points_along(model: Model, unit: np.ndarray, direction: np.ndarray) -> np.nd
     reach = np.unique(np.clip(REACH, first, last))
     values = np.clip(physical[1] + reach[np.abs(reach) > LEAST, None] * pace, low, high)
     return model.to_unit(values)
+
+
+def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray:
+    """(P,) unit vector with every force, mass and stiffness multiplied alike, which hardly changes a motion.
+
+    Only what the model takes as known (a rotor, a torque limit) tells the common factor, so it is the direction in
+    which fits creep.
+    """
+    result = unit.copy()
+    for i, p in enumerate(model.parameters):
+        if p.low >= 0 and (p.unit.startswith(("kg", "N"))):
+            result[i] = p.to_unit(np.clip(float(p.from_unit(unit[i])) * factor, p.low, p.high))
+    return result
+
+
+def at_level(unit: np.ndarray, parameter: int, level: float) -> np.ndarray:
+    """(P,) unit vector with one parameter elsewhere in its range."""
+    moved = unit.copy()
+    moved[parameter] = np.clip(level, 0.02, 0.98)
+    return moved
