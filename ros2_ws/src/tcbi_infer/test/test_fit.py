@@ -11,7 +11,7 @@ from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Replicates
 from tcbi_infer.diagnose.at_random import at_random
 from tcbi_infer.diagnose.base_fit import base_starts
-from tcbi_infer.diagnose.fit import ROUNDS, Fitter, Nuisance
+from tcbi_infer.diagnose.fit import ROUNDS, Fitter, Nuisance, slopes_step
 from tcbi_infer.diagnose.heldout import held_out
 from tcbi_infer.diagnose.null import noise_draws
 from tcbi_infer.diagnose.problem import Problem
@@ -59,9 +59,24 @@ def test_a_longer_step_is_tried_where_the_whole_one_is_good_and_a_shorter_one_wh
     for start, longer in ((MODEL.to_unit(BASE) + 0.03, True), (np.array([0.58, 0.11, 0.44]), False)):
         tried.clear()
         fitter.run(start[None], radii=(0.02,), most=1)
-        at_start, slopes, whole, other = tried
-        assert len(at_start) == len(whole) == len(other) == 1 and len(slopes) == 6
+        at_start, whole, other = tried
+        assert len(at_start) == len(whole) == len(other) == 1
         assert (np.linalg.norm(other - start) > np.linalg.norm(whole - start)) == longer
+
+
+def test_slopes_come_from_longer_time_steps_than_the_trials_and_none_beyond_ten_milliseconds(fitter, monkeypatch):
+    steps: list[tuple[int, float]] = []
+    predict = Replay.predict
+
+    def watched(self, model, parameters, sets=None, timestep=0.002):
+        steps.append((len(np.atleast_2d(parameters)), timestep))
+        return predict(self, model, parameters, sets, timestep)
+
+    monkeypatch.setattr(Replay, "predict", watched)
+    fine = Fitter(fitter.problem, fitter.model, fitter.scatter, fitter.sets, 0.002)
+    fine.run((MODEL.to_unit(BASE) + 0.03)[None], radii=(0.02,), most=1)
+    assert steps == [(1, 0.002), (1, 0.005), (6, 0.005), (1, 0.002), (1, 0.002)]
+    assert [slopes_step(t) for t in (0.0005, 0.002, 0.005, 0.01)] == [0.00125, 0.005, 0.01, 0.01]
 
 
 LOST = 2  # the motion that diverges

@@ -1,6 +1,7 @@
 """Each joint's own gain: found beside what jumps, kept by the version that a diagnosis makes."""
 
 import dataclasses
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -75,7 +76,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         def __init__(self, problem: Any, model: Any, scatter: float, *_: Any) -> None:
             self.scatter = scatter
 
-        def run(self, units: np.ndarray) -> Any:
+        def run(self, units: np.ndarray, radii: Sequence[float]) -> Any:
             return a_fit(units[0, 0] + (0.8 - units[0, 0]) * 2 / 3, self.scatter)
 
     def scatter_at(problem: Any, fit: Any, *_: Any) -> float:

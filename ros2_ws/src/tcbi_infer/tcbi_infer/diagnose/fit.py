@@ -6,7 +6,6 @@ Scatter between joints of the same make is real but is no missing effect: it ent
 """
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -145,10 +144,17 @@ class Fitter:
         step = max(self.timestep, ROUGH_STEP)
         return Fitter(self.problem, self.model, self.scatter, self.sets[self.few_positions()], step)
 
-    def predict(self, unit: np.ndarray, timestep: float | None = None) -> np.ndarray:
-        """(N, P) unit vectors -> (N, open sets, T, C), with another time step (s) if one is given."""
+    def predict(self, unit: np.ndarray) -> np.ndarray:
+        """(N, P) unit vectors -> (N, open sets, T, C)."""
+        return self._predicted(unit, self.timestep)
+
+    def predict_for_slopes(self, unit: np.ndarray) -> np.ndarray:
+        """The same with the time step of slopes."""
+        return self._predicted(unit, self.slopes_step)
+
+    def _predicted(self, unit: np.ndarray, timestep: float) -> np.ndarray:
         values = self.model.from_unit(np.atleast_2d(unit))
-        return self.problem.replay.predict(self.model, values, list(self.sets), timestep or self.timestep)
+        return self.problem.replay.predict(self.model, values, list(self.sets), timestep)
 
     def residual(self, predicted: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
         """(..., open sets, T, C) with the nuisances taken out."""
@@ -223,8 +229,8 @@ class Fitter:
         delta = np.zeros(self.scatter.effect.shape[-1]) if nuisance is None else nuisance.copy()
         unit, predicted = self.best_start(starts, delta)
         place = self._place(unit, delta, predicted)
-        slopes = Slopes(functools.partial(self.predict, timestep=self.slopes_step))
-        self._remember(slopes, unit[None], predicted[None])
+        slopes = Slopes(self.predict_for_slopes)
+        self._remember(slopes, [unit], [predicted])
         jacobian, bend = np.zeros((*place.residual.shape, len(unit))), np.zeros_like(place.residual)
         converged = False
         for number, radius in enumerate(radii):
@@ -251,9 +257,9 @@ class Fitter:
             slopes.remember(np.asarray(units), np.asarray(predicted))
 
     def _for_slopes(self, place: "_Place") -> np.ndarray:
-        """(open sets, T, C) the prediction at a place, with the time step of those that slopes come from."""
+        """(open sets, T, C) the prediction at a place, with the time step of slopes."""
         same = self.slopes_step == self.timestep
-        return place.predicted if same else self.predict(place.unit, self.slopes_step)[0]
+        return place.predicted if same else self.predict_for_slopes(place.unit)[0]
 
     def _place(self, unit: np.ndarray, nuisance: np.ndarray, predicted: np.ndarray) -> _Place:
         residual = self.residual(predicted, nuisance)

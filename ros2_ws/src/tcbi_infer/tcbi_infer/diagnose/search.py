@@ -57,8 +57,9 @@ class Search:
 
     def best_by_screening(self) -> list[int]:
         """Uses that get a full fit: the best by screening, at most a few sites of one effect."""
-        share, worth = self.settings.least_share, self.worth
-        least = share * float(np.max(worth))
+        worth = self.worth
+        most = float(np.max(worth))
+        least = min(self.settings.least_share * most, most)
         order = [u for u in np.argsort(-worth) if worth[u] >= least]
         chosen: list[int] = []
         per_effect: dict[str, int] = {}
