@@ -38,7 +38,7 @@ from tcbi_infer.diagnose.evidence import (
     NextMotion,
 )
 from tcbi_infer.diagnose.false_alarms import false_alarms
-from tcbi_infer.diagnose.fit import Fit
+from tcbi_infer.diagnose.fit import Fit, slopes_step
 from tcbi_infer.diagnose.judge import Judge, Judged, screened
 from tcbi_infer.diagnose.leftover import explain
 from tcbi_infer.diagnose.motions import ready_motions
@@ -180,7 +180,7 @@ class _Run:
         # with one kind of motion nothing tells candidates apart; one that is asked for alone is fitted all the same
         comparable = (len(self.split.folds) > 1 or len(self.uses) == 1) and not self.mend
         uses = self.uses if comparable and base.total < np.inf else []
-        step = self.settings.of_screening
+        step = slopes_step(self.problem, self.settings.coarse)
         directions = simulate_directions(self.problem, base, uses, self.sets, step, self._screened())
         judge = Judge(self.model, self.problem, self.split, self.floor, self.settings.timestep)
         before = judge.judge(base)

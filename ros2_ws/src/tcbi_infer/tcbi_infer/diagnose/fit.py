@@ -15,6 +15,7 @@ from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.slopes import Slopes, unbroken
 from tcbi_infer.diagnose.valley import at_level, points_along, scaled_together, weakest
 from tcbi_sim.model import Model
+from tcbi_sim.rigs import load_rig
 
 RADII = (0.12, 0.08)  # of a parameter's range: narrow slopes alone stall where feet stick and slip
 MOST = 2  # steps at each
@@ -120,11 +121,14 @@ class _Place:
     scale: np.ndarray
 
 
-def slopes_step(timestep: float) -> float:
-    """Time step (s) of the simulations that tell the slopes of a fit with another one, which is no longer.
+def slopes_step(problem: Problem, timestep: float) -> float:
+    """Time step (s) of simulations that only tell how a prediction changes, beside a fit with another step.
 
-    Where feet stick and slip, slopes differ no more from one step to the other than from one place to the next.
+    Longer for a robot on feet: where these stick and slip, slopes differ no more from one step to the other than from
+    one place to the next.
     """
+    if not load_rig(problem.replay.rig).floating:
+        return timestep
     return max(timestep, min(ROUGH_STEP, SLOPES_STRETCH * timestep))
 
 
@@ -133,7 +137,7 @@ class Fitter:
 
     def __init__(self, problem: Problem, model: Model, scatter: Nuisance, sets: np.ndarray, timestep: float) -> None:
         self.problem, self.model, self.scatter, self.timestep = problem, model, scatter, timestep
-        self.sets, self.slopes_step = np.asarray(sets, int), slopes_step(timestep)
+        self.sets, self.slopes_step = np.asarray(sets, int), slopes_step(problem, timestep)
 
     def few_positions(self) -> np.ndarray:
         """Positions of a few open sets that stand for all in a first fit."""

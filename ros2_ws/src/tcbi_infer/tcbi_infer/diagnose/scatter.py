@@ -34,7 +34,7 @@ def joint_scatter(problem: Problem, base: Fit, sets: np.ndarray, timestep: float
     signs = hadamard(1 << len(joints).bit_length())[:, 1 : len(joints) + 1].astype(float)
     gains = 1.0 + STEP * SCATTER * signs
     vectors = np.concatenate([np.tile(base.parameters, (len(signs), 1)), gains], axis=1)
-    predicted = problem.replay.predict(model, vectors, list(sets), slopes_step(timestep))
+    predicted = problem.replay.predict(model, vectors, list(sets), slopes_step(problem, timestep))
     effect = np.zeros((*problem.observed.shape, len(joints)))
     effect[sets] = slopes(signs, predicted) / STEP
     return Nuisance(effect, joints, base.unit)

@@ -14,17 +14,12 @@ class Settings:
     rivals: bool = True  # effects that the screening did not rank are tried in the best one's place
     least_share: float = 0.2  # of the best candidate's gain in screening, that a full fit takes
     timestep: float = 0.002  # s at most, of the final fits
-    coarse: float = 0.005  # s at most, of first fits
+    coarse: float = 0.005  # s at most, of first fits; of the screening, too, but for robots on feet
     seed: int = 0
     likeness: float = 0.97  # cosine above which two candidates' signatures count as the same
     per_joint: bool = True  # try effects at every single joint
     trust_recording: bool = False  # search although the guards say that wiring, units or commands are wrong
     sealed_share: float = 0.2  # of the kinds of motion, opened at the very end
-
-    @property
-    def of_screening(self) -> float:
-        """Time step (s) of the screening: what an effect changes depends on it no more than on where feet slip."""
-        return min(2 * self.coarse, 5 * self.timestep)
 
 
 QUICK = Settings(
