@@ -173,3 +173,20 @@ def test_a_model_is_not_exported_into_a_folder_that_does_not_exist(tmp_path, cap
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and f"the folder {tmp_path / 'new'} does not exist" in error
     assert not (tmp_path / "new").exists()
+
+
+def test_a_measured_value_is_fixed_and_fitted_no_more(bags, tmp_path, capsys):
+    store = ("--store", tmp_path)
+    made = answer(capsys, "model", "servo_bench-v0", "--fix", "gain=0.005", *store)
+    assert made["model"] == "servo_bench-v1" and made["fixed"] == {"gain": 0.005} and "gain" not in made["parameters"]
+    shown = answer(capsys, "model", "servo_bench-v1", *store)
+    assert shown["made_by"] == "fix" and shown["fixed"] == {"gain": 0.005}
+    found = answer(capsys, "diagnose", bags, "--model", "servo_bench-v1", "--effects", "command_latency", *store)
+    names = [p["name"] for p in found["base"]["parameters"]]
+    assert names == made["parameters"]
+    added = answer(capsys, "add", "command_latency", "--model", "servo_bench-v1", "--anyway", *store)
+    assert answer(capsys, "model", added["model"], *store)["fixed"] == {"gain": 0.005}
+    freed = answer(capsys, "model", added["model"], "--free", "gain", *store)
+    assert freed["fixed"] == {} and "gain" in freed["parameters"]
+    assert cli.main(["model", "servo_bench-v0", "--fix", "gain=1", "--delete", *map(str, store)]) == 2
+    assert "allowed is one of them" in capsys.readouterr().err

@@ -32,7 +32,7 @@ BENCH = dataclasses.replace(
     effects=(),
 )
 FORMAT = 2  # of kept results; 1 had no base model fitted for comparison
-PLANS = {"quick": QUICK, "full": FULL, "bench": BENCH}
+PLANS = {"quick": QUICK, "full": FULL, "bench": BENCH, "weighed": QUICK}  # the last with the mass that scales show
 Job = tuple[str, str, str, int]  # plan, hidden, strength, seed
 Result = dict[str, Any]
 
@@ -61,6 +61,8 @@ def judged(job: Job) -> Result:
     seen = recorded(robot, recordings(plan.motions, plan.repeated), plan.motion_s, 0)
     unseen = recorded(robot, recordings(plan.unseen, len(plan.unseen)), plan.motion_s, 100)
     model = base_model("hexapod")
+    if plan_name == "weighed":
+        model = model.with_fixed({"mass": on_scales(robot)})
     began, cpu = time.perf_counter(), time.process_time()
     found, uses, added = _diagnosed(model, seen, plan, MOST if len(parts(hidden)) > 1 else 1)
     spent = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
@@ -82,6 +84,12 @@ def judged(job: Job) -> Result:
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         **spent,
     }
+
+
+def on_scales(robot: EmulatedRobot) -> float:
+    """What the robot weighs in kg, with anything that it may carry."""
+    truth = robot.specimen.truth()
+    return float(truth["mass"] + truth["effect"].get("mass_kg", 0.0))
 
 
 def _diagnosed(

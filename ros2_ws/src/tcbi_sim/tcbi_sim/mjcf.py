@@ -31,6 +31,7 @@ def to_xml(model: Model, parameters: np.ndarray | None = None) -> str:
     _copy(materialise(model, values), spec)
     spec.compile()
     listed = "\n".join(f"  {p.name} = {v:.6g} {p.unit}" for p, v in zip(model.parameters, values, strict=True))
+    listed += "".join(f"\n  {name} = {value:.6g} (fixed)" for name, value in model.fixed.items())
     left = outside(model)
     note = f"\n  Not in this file, since they act on commands or readings: {', '.join(left)}" if left else ""
     return f"<!-- {model.version} (rig {model.rig})\n{listed}{note}\n-->\n{spec.to_xml()}"

@@ -3,7 +3,7 @@
 import dataclasses
 import datetime
 import zlib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -43,6 +43,7 @@ class Model:
     evidence: dict[str, Any] = field(default_factory=dict)  # what made this version: a diagnosis, an inference
     created: str = ""
     joint_gains: tuple[float, ...] = ()  # (J,) each servo's stiffness over what the parameters say
+    fixed: dict[str, float] = field(default_factory=dict)  # what was measured otherwise: no parameters any more
 
     def __post_init__(self) -> None:
         expected = (*self.log_weights.shape, len(self.parameters))
@@ -61,6 +62,20 @@ class Model:
                 )
         if self.joint_gains:
             self._check_joint_gains()
+        if self.fixed:
+            self._check_fixed()
+
+    def _check_fixed(self) -> None:
+        known = {p.name: p for p in parameters_of(self.rig, self.effects)}
+        for name, value in self.fixed.items():
+            if name not in known:
+                raise SimError(f"model {self.version!r}: fixed {name!r} is none of {', '.join(known)}")
+            p = known[name]
+            if not p.low <= value <= p.high:
+                told = f"fixed {name} is {value:g}, allowed is {p.low:g} to {p.high:g} {p.unit}"
+                raise SimError(f"model {self.version!r}: {told}")
+        if not self.parameters:
+            raise SimError(f"model {self.version!r}: every parameter is fixed, allowed are all but one")
 
     def _check_joint_gains(self) -> None:
         rig, (low, high) = load_rig(self.rig), JOINT_GAINS
@@ -89,7 +104,8 @@ class Model:
     @property
     def contents(self) -> bytes:
         """All that models of one name and structure may differ in, for digests."""
-        return self.particles.tobytes() + self.log_weights.tobytes() + np.array(self.joint_gains).tobytes()
+        known = repr(sorted(self.fixed.items())).encode() if self.fixed else b""
+        return self.particles.tobytes() + self.log_weights.tobytes() + np.array(self.joint_gains).tobytes() + known
 
     @property
     def joint_gains_told(self) -> str:
@@ -173,6 +189,7 @@ class Model:
             raise UnknownNameError(f"effect of {self.version}", key, self.effects)
         gone = f"{named[0]}."
         kept = [i for i, name in enumerate(self.names) if not name.startswith(gone)]
+        fixed = {name: value for name, value in self.fixed.items() if not name.startswith(gone)}
         return dataclasses.replace(
             self,
             version=f"{self.saved_version}-{named[0]}",
@@ -182,6 +199,59 @@ class Model:
             parent=self.saved_version,
             evidence=self._kept(),
             created=now(),
+            fixed=fixed,
+        )
+
+    def with_fixed(self, values: Mapping[str, float]) -> "Model":
+        """An unsaved child in which parameters stay at values that were measured otherwise, as a mass with scales.
+
+        They are fitted no more. The others keep their distribution, which was not fitted beside these values.
+
+        Args:
+          values: physical, by the parameters' names.
+
+        Raises:
+          UnknownNameError: the model has no such parameter, or it is fixed already.
+          SimError: a value outside its parameter's range, or no parameter would be left.
+        """
+        for name in values:
+            if name not in self.names:
+                raise UnknownNameError(f"parameter of {self.version}", name, self.names)
+        kept = [i for i, name in enumerate(self.names) if name not in values]
+        return dataclasses.replace(
+            self,
+            version=f"{self.saved_version}+fixed",
+            parameters=tuple(self.parameters[i] for i in kept),
+            particles=self.particles[:, kept],
+            parent=self.saved_version,
+            evidence={**self._kept(), "fixed": dict(values)},
+            created=now(),
+            fixed={**self.fixed, **values},
+        )
+
+    def with_free(self, names: Collection[str]) -> "Model":
+        """An unsaved child in which fixed parameters are fitted again; until then they are as wide as their priors.
+
+        Raises:
+          UnknownNameError: one of them is not fixed.
+        """
+        for name in names:
+            if name not in self.fixed:
+                raise UnknownNameError(f"fixed parameter of {self.version}", name, tuple(self.fixed))
+        fixed = {name: value for name, value in self.fixed.items() if name not in names}
+        parameters = parameters_of(self.rig, self.effects, fixed)
+        known = dict(zip(self.names, self.particles.T, strict=True))
+        rng = np.random.default_rng([1, zlib.crc32(" ".join(sorted(names)).encode())])
+        columns = [known[p.name] if p.name in known else p.sample(rng, len(self.particles)) for p in parameters]
+        return dataclasses.replace(
+            self,
+            version=f"{self.saved_version}+free",
+            parameters=parameters,
+            particles=np.stack(columns, axis=-1),
+            parent=self.saved_version,
+            evidence=self._kept(),
+            created=now(),
+            fixed=fixed,
         )
 
     def with_particles(self, particles: np.ndarray, log_weights: np.ndarray | None = None, **evidence: Any) -> "Model":
@@ -212,14 +282,15 @@ def uses_of(rig: Rig, effects: Iterable[str]) -> list[EffectUse]:
     return [find_use(key, rig) for key in effects]
 
 
-def parameters_of(name: str, effects: Iterable[str]) -> tuple[Parameter, ...]:
-    """The parameters that a rig and effects define, in the order of a model's.
+def parameters_of(name: str, effects: Iterable[str], fixed: Collection[str] = ()) -> tuple[Parameter, ...]:
+    """The parameters that a rig and effects define, but for those that are fixed, in the order of a model's.
 
     Raises:
       SimError: unknown rig or effect, or an effect that the rig cannot have.
     """
     rig = load_rig(name)
-    return rig.parameters + tuple(p for use in uses_of(rig, effects) for p in use.parameters)
+    every = rig.parameters + tuple(p for use in uses_of(rig, effects) for p in use.parameters)
+    return tuple(p for p in every if p.name not in fixed)
 
 
 def now() -> str:

@@ -82,7 +82,7 @@ class Simulator:
             commands a simulation loses.
         """
         self.rig, self.uses, self._names = load_rig(model.rig), model.uses(), model.names
-        self._joint_gains = model.joint_gains
+        self._joint_gains, self._fixed = model.joint_gains, model.fixed
         self.rate = rate or self.rig.rate
         self.timestep = timestep = step_for(self.rate) if timestep is None else timestep
         self.per_sample = round(1 / (self.rate * timestep))
@@ -246,7 +246,8 @@ class Simulator:
         self._actuator_force = self._batch.bind("actuator_force")
 
     def _row(self) -> dict[str, np.ndarray]:
-        return dict(zip(self._names, self.parameters.T, strict=True))
+        fixed = {name: np.full(self.count, value) for name, value in self._fixed.items()}
+        return fixed | dict(zip(self._names, self.parameters.T, strict=True))
 
     def _write_fields(self, ids: np.ndarray) -> None:
         """Write every simulation's fields anew; those not in `ids` get the values that they have."""

@@ -43,6 +43,10 @@ def _is_list(kind: Any) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, list) and all(isinstance(item, kind) for item in value)
 
 
+def _is_table(kind: Any) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, dict) and all(isinstance(item, kind) for item in value.values())
+
+
 HEAD: dict[str, tuple[Callable[[Any], bool], str]] = {  # key of model.json: what it must be
     "version": (_is(str), "a text"),
     "rig": (_is(str), "a text"),
@@ -52,6 +56,7 @@ HEAD: dict[str, tuple[Callable[[Any], bool], str]] = {  # key of model.json: wha
     "evidence": (_is(dict), "an object"),
     "created": (_is(str), "a text"),
     "joint_gains": (_is_list(int | float), "a list of numbers"),
+    "fixed": (_is_table(int | float), "an object of numbers"),
 }
 
 
@@ -169,6 +174,7 @@ class ModelStore:
             "parameters": [dataclasses.asdict(p) for p in model.parameters],
             "mean": dict(zip(model.names, map(float, model.mean()), strict=True)),
             "joint_gains": list(model.joint_gains),
+            "fixed": model.fixed,
             "evidence": model.evidence,
         }
         (folder / "model.json").write_text(json.dumps(head, indent=1, default=_plain) + "\n")
@@ -182,6 +188,7 @@ class ModelStore:
             head = json.loads(path.read_text())
             if isinstance(head, dict):
                 head.setdefault("joint_gains", [])  # versions from before there were any
+                head.setdefault("fixed", {})
             check_head(path, head)
             if not particles.exists():
                 raise StoreError(f"{particles} is missing; {RESTORE}")
@@ -190,7 +197,7 @@ class ModelStore:
             raise StoreError(f"cannot read the model in {folder}: {e}; remove the folder or restore its files") from e
         rig, effects = head["rig"], tuple(head["effects"])
         try:
-            parameters = parameters_of(rig, effects)
+            parameters = parameters_of(rig, effects, head["fixed"])
         except SimError as e:
             raise StoreError(
                 f"model {head['version']} needs a rig or an effect that is not here, or not for it any more: {e}; name "
@@ -199,7 +206,7 @@ class ModelStore:
         check_parameters(path, head["parameters"], parameters)
         about = (head["parent"], head["evidence"], head["created"])
         try:
-            model = Model(head["version"], rig, effects, parameters, values, log_weights, *about)
+            model = Model(head["version"], rig, effects, parameters, values, log_weights, *about, fixed=head["fixed"])
         except SimError as e:
             raise StoreError(f"{particles}: {e}; {RESTORE}") from e
         try:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tcbi_sim.model import Model
     from tcbi_sim.store import ModelStore
 
-SUMMARY = "List the model versions, show what one knows and rests on, have a running graph use it, or delete one."
+SUMMARY = "List the model versions, show one, fix what was measured otherwise, have a graph use one, or delete one."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,12 +23,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "./tcbi model                                         # all versions of all rigs",
         "./tcbi model hexapod-v2 --json",
+        "./tcbi model hexapod-v0 --fix mass=0.86               # what scales say is fitted no more: a new version",
         "./tcbi model latest --use                            # the sim node that runs simulates it from now on",
         "./tcbi model hexapod-v3 --delete                     # an inference or an effect that one does not want",
     )
     parser.epilog = f"{parser.epilog}\n\n{_WHAT_HAPPENS}"
     parser.add_argument("version", nargs="?", default="", help="a model version, or latest; nothing lists all")
     parser.add_argument("--delete", action="store_true", help="delete it; one that others were made from is refused")
+    parser.add_argument(
+        "--fix",
+        type=_value,
+        action="append",
+        metavar="NAME=VALUE",
+        help="make a version in which a parameter stays at a value that was measured otherwise (in the unit that the "
+        "version shows); as often as it is given",
+    )
+    parser.add_argument(
+        "--free", action="append", metavar="NAME", help="make a version in which a fixed parameter is fitted again"
+    )
     parser.add_argument("--use", action="store_true", help="have the graph's sim node and inference node take it")
     parser.add_argument("--namespace", type=namespace, default="", help="of the graph, for --use")
     parser.add_argument("--rig", default="", help="list this rig's; whose version latest is (default: hexapod)")
@@ -43,20 +55,35 @@ Where no version is named, every command and every node takes the newest. Deleti
 before the newest again; its number is not given again, and policies that were trained on it stay."""
 
 
+def _value(text: str) -> tuple[str, float]:
+    """A parameter's name and value, of "mass=0.86".
+
+    Raises:
+      argparse.ArgumentTypeError: it is no such thing.
+    """
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"got {text!r}, wanted a parameter and its value, as in mass=0.86") from None
+
+
 def run(args: argparse.Namespace) -> int:
-    """List, show, use or delete."""
+    """List, show, fix, use or delete."""
     from tcbi_sim.store import LATEST, ModelStore
 
     store = ModelStore(args.store)
-    for option in ("delete", "use"):
-        if getattr(args, option) and not args.version:
-            raise WrongCallError(f"--{option}: got no model version; name one that ./tcbi model lists")
-    if args.delete and args.use:
-        raise WrongCallError("--delete and --use: got both, allowed is one of them")
+    asked = [option for option in ("delete", "use", "fix", "free") if getattr(args, option)]
+    if asked and not args.version:
+        raise WrongCallError(f"--{asked[0]}: got no model version; name one that ./tcbi model lists")
+    if len(asked) > 1 and asked != ["fix", "free"]:
+        raise WrongCallError(f"--{asked[0]} and --{asked[1]}: got both, allowed is one of them")
     if args.namespace and not args.use:
         raise WrongCallError("--namespace: names the graph for --use, which was not given")
     if not args.version:
         return _list(args, store)
+    if args.fix or args.free:
+        return _fix(args, store)
     if args.use:
         return _use(args, store)
     if args.delete:
@@ -107,6 +134,7 @@ def _show(args: argparse.Namespace, store: "ModelStore") -> int:
         ["made by", facts["made_by"]],
         ["made (UTC)", facts["created"] or "–"],
         ["effects", ", ".join(model.effects) or "none"],
+        ["fixed", ", ".join(f"{name} {value:g}" for name, value in model.fixed.items()) or "nothing"],
         ["rollouts it was fitted to", str(facts["rollouts"])],
         ["joints' own gains", facts["joint_gains"]],
         ["error / noise floor, held out", _error(facts)],
@@ -119,6 +147,22 @@ def _show(args: argparse.Namespace, store: "ModelStore") -> int:
         print(warning)
     rows = [[p["name"], p["unit"], p["mean"], p["low90"], p["high90"]] for p in parameters]
     console.table("parameters", ["parameter", "unit", "mean", "5 %", "95 %"], rows)
+    return 0
+
+
+def _fix(args: argparse.Namespace, store: "ModelStore") -> int:
+    model = store.load(args.version, args.rig or "hexapod")
+    if args.free:
+        model = model.with_free(args.free)
+    saved = store.save(model.with_fixed(dict(args.fix)) if args.fix else model)
+    seen = bool(saved.fit.rollouts)
+    if args.json:
+        console.emit({"model": saved.version, "parent": saved.parent, "fixed": saved.fixed, "parameters": saved.names})
+        return 0
+    told = ", ".join(f"{name} {value:g}" for name, value in saved.fixed.items()) or "nothing"
+    print(f"{saved.version}: fixed is {told}; fitted are {', '.join(saved.names)}")
+    if seen:
+        print("The others were not fitted beside this: fit them again (./tcbi infer, or ./tcbi diagnose and add).")
     return 0
 
 
@@ -165,6 +209,7 @@ def _facts(model: "Model") -> dict[str, Any]:
         "rollouts": len(grounds.rollouts),
         "error_over_floor": grounds.error_over_floor,
         "joint_gains": grounds.joint_gains,
+        "fixed": model.fixed,
         "statement": grounds.statement,
         "warnings": model.evidence.get("inference", {}).get("warnings", ()),
     }

@@ -49,7 +49,7 @@ class Grounds:
     """What a version rests on.
 
     Attributes:
-      kind: "built in", "prior", or what made it: "diagnosis", "inference", "remove".
+      kind: "built in", "prior", or what made it: "diagnosis", "inference", "remove", "fix".
       rollouts: that it was fitted to.
       error_over_floor: on rollouts that its fit had not seen; None where nothing was measured.
       joint_gains: each servo's own stiffness, in words.
@@ -91,7 +91,7 @@ def compare_versions(before: Model, after: Model) -> Difference:
         )
     added = tuple(e for e in after.effects if e not in before.effects)
     removed = tuple(e for e in before.effects if e not in after.effects)
-    first, second = intervals(before), intervals(after)
+    first, second = (intervals(m) | {name: Interval(v, v, v) for name, v in m.fixed.items()} for m in (before, after))
     known = {p.name: p for p in (*before.parameters, *after.parameters)}
     changes = tuple(_change(p, first.get(p.name), second.get(p.name)) for p in known.values())
     grounds = grounds_of(before), grounds_of(after)
@@ -162,7 +162,8 @@ def intervals(model: Model) -> dict[str, Interval]:
 def grounds_of(model: Model) -> Grounds:
     """What a version rests on."""
     e, inference = model.evidence, model.evidence.get("inference")
-    kind = e.get("kind") or ("inference" if inference else "prior" if model.parent else "built in")
+    kind = e.get("kind") or ("inference" if inference else "fix" if e.get("fixed") else "")
+    kind = kind or ("prior" if model.parent else "built in")
     statement = e.get("statement", "")
     if inference:
         statement = f"{inference['method']}, effective sample size {inference['ess']:.0f}"
