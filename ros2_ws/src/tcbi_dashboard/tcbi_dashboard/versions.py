@@ -27,17 +27,10 @@ def errors(store: ModelStore, rig: str) -> tuple[ErrorLine, dict[str, tuple[tupl
 def _made(model: Model) -> str:
     from tcbi_infer.diagnose.adopt import doubt
 
-    kind = kind_of(model)
+    kind = model.made_by
     parent = f" from v{model.parent.rpartition('-v')[2]}" if model.parent else ""
     guess = ", a guess" if kind == "diagnosis" and model.evidence.get("use") and doubt(model.evidence) else ""
     return f"{MADE.get(kind, kind)}{parent}{guess}"
-
-
-def kind_of(model: Model) -> str:
-    """What made a version: diagnosis, inference, remove, prior, or built in."""
-    return model.evidence.get("kind") or (
-        "inference" if model.evidence.get("inference") else "prior" if model.parent else "built in"
-    )
 
 
 def _measured(path: Path) -> dict[str, Any] | None:
@@ -89,8 +82,13 @@ def posterior(store: ModelStore, version: str) -> dict[str, Any]:
 
 
 def origin(model: Model) -> str:
-    """What a version's distribution rests on, in a sentence or two; names the prior."""
-    e, kind = model.evidence, kind_of(model)
+    """What a version's distribution rests on, in a sentence or two; names the prior, and what is fixed."""
+    fixed = ", ".join(f"{name} {value:g}" for name, value in model.fixed.items())
+    return _origin(model) + (f" Fixed at what was measured otherwise: {fixed}." if fixed else "")
+
+
+def _origin(model: Model) -> str:
+    e, kind = model.evidence, model.made_by
     if kind == "inference":
         i = e["inference"]
         prior = i.get("prior", model.parent)  # versions of before do not say: the page and the demo went on from there
@@ -110,6 +108,8 @@ def origin(model: Model) -> str:
         )
     if kind == "remove":
         return e["statement"]
+    if e.get("kept"):
+        return f"Kept from {model.parent}: nothing was fitted anew."
     return "Nothing was fitted: this is the prior."
 
 
@@ -117,7 +117,7 @@ def _tells(store: ModelStore, model: Model) -> dict[str, str]:
     """For each parameter what the data tell of it, beside what was known before; nothing where nothing was fitted."""
     from tcbi_infer.compare.versions import compare_versions
 
-    kind = kind_of(model)
+    kind = model.made_by
     if kind == "inference":
         return {p["name"]: _verdict(p) for p in model.evidence["inference"]["parameters"]}
     if model.parent not in store.versions(model.rig):
@@ -150,7 +150,7 @@ def _count(rollouts: Any) -> str:
 
 def generations(store: ModelStore, model: Model) -> dict[str, Any] | None:
     """Mean and standard deviation of each parameter over the generations; None for a version not inferred."""
-    if kind_of(model) != "inference":
+    if model.made_by != "inference":
         return None
     return _saved_generations(store.models / model.version / "posterior.nc") or _run_generations(store, model)
 

@@ -117,6 +117,13 @@ class Model:
         return f"{gains[low]:.2f} ({joints[low]}) to {gains[high]:.2f} ({joints[high]})"
 
     @property
+    def made_by(self) -> str:
+        """What made this version: "diagnosis", "inference", "remove", "fix", "prior" (a new effect), "built in"."""
+        e = self.evidence
+        made = e.get("kind") or ("inference" if e.get("inference") else "fix" if e.get("fixed") else "")
+        return made or ("prior" if self.parent else "built in")
+
+    @property
     def fit(self) -> Fit:
         """What the particles come from; those that were kept from another version have that one's fit."""
         e, kept = self.evidence, self.evidence.get("kept", {})

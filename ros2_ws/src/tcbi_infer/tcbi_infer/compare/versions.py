@@ -49,7 +49,7 @@ class Grounds:
     """What a version rests on.
 
     Attributes:
-      kind: "built in", "prior", or what made it: "diagnosis", "inference", "remove", "fix".
+      kind: what made it, as `Model.made_by`.
       rollouts: that it was fitted to.
       error_over_floor: on rollouts that its fit had not seen; None where nothing was measured.
       joint_gains: each servo's own stiffness, in words.
@@ -162,13 +162,11 @@ def intervals(model: Model) -> dict[str, Interval]:
 def grounds_of(model: Model) -> Grounds:
     """What a version rests on."""
     e, inference = model.evidence, model.evidence.get("inference")
-    kind = e.get("kind") or ("inference" if inference else "fix" if e.get("fixed") else "")
-    kind = kind or ("prior" if model.parent else "built in")
     statement = e.get("statement", "")
     if inference:
         statement = f"{inference['method']}, effective sample size {inference['ess']:.0f}"
     rollouts = tuple(sorted(used_before(model)))
-    return Grounds(kind, statement, e.get("accepted"), rollouts, unseen_error(model), model.joint_gains_told)
+    return Grounds(model.made_by, statement, e.get("accepted"), rollouts, unseen_error(model), model.joint_gains_told)
 
 
 def _change(p: Parameter, before: Interval | None, after: Interval | None) -> ParameterChange:
