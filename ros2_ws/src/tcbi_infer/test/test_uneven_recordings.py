@@ -43,8 +43,8 @@ def test_the_rollout_with_most_commands_may_lack_what_the_reward_needs(task, lac
     scenarios = [Scenario(task, 2.4), Scenario(task, 4.0)]
     out = simulate(MODEL, MODEL.mean()[None], scenarios, commands=commands)
     each = [noisy(out.measurement(0, s), commands[s], s, 0, rng) for s in range(2)]
-    mixed = compare(MODEL, [each[0], dataclasses.replace(each[1], **lacking)], particles=2)
-    alone = compare(MODEL, each[:1], particles=2)
+    mixed = compare(MODEL, [each[0], dataclasses.replace(each[1], **lacking)], particles=2, timestep=0.002)
+    alone = compare(MODEL, each[:1], particles=2, timestep=0.002)
     reward, expected = (next(e for e in c.signals if e.name == "reward") for c in (mixed, alone))
     assert reward.error == pytest.approx(expected.error) and reward.crps == pytest.approx(expected.crps)
 

@@ -137,7 +137,12 @@ class Fitter:
 
     def __init__(self, problem: Problem, model: Model, scatter: Nuisance, sets: np.ndarray, timestep: float) -> None:
         self.problem, self.model, self.scatter, self.timestep = problem, model, scatter, timestep
-        self.sets, self.slopes_step = np.asarray(sets, int), slopes_step(problem, timestep)
+        self.sets = np.asarray(sets, int)
+
+    @property
+    def slopes_step(self) -> float:
+        """Time step (s) of the simulations that tell slopes."""
+        return slopes_step(self.problem, self.timestep)
 
     def few_positions(self) -> np.ndarray:
         """Positions of a few open sets that stand for all in a first fit."""
