@@ -14,7 +14,10 @@ from tcbi_sim.store import ModelStore
 
 DRAWS = 300
 TECHNICAL = "with fewer than", "the same in every sample", "open loop", "closed loop", "resumed"  # notes that few need
-MADE = {"diagnosis": "fitted", "inference": "inferred", "remove": "effect taken out", "prior": "nothing fitted"}
+MADE = {
+    **{"diagnosis": "fitted", "inference": "inferred", "remove": "effect taken out", "prior": "nothing fitted"},
+    "fix": "values fixed or freed",
+}
 
 
 def errors(store: ModelStore, rig: str) -> tuple[ErrorLine, dict[str, tuple[tuple[str, ...], str]]]:
@@ -83,8 +86,8 @@ def posterior(store: ModelStore, version: str) -> dict[str, Any]:
 
 def origin(model: Model) -> str:
     """What a version's distribution rests on, in a sentence or two; names the prior, and what is fixed."""
-    fixed = ", ".join(f"{name} {value:g}" for name, value in model.fixed.items())
-    return _origin(model) + (f" Fixed at what was measured otherwise: {fixed}." if fixed else "")
+    fixed = f" Fixed at what was measured otherwise: {model.fixed_told}." if model.fixed else ""
+    return _origin(model) + fixed
 
 
 def _origin(model: Model) -> str:

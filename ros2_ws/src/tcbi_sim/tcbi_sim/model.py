@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tcbi_contract.wording import counted
+from tcbi_contract.wording import counted, with_unit
 from tcbi_sim.effect import EffectUse
 from tcbi_sim.effects import find_use
 from tcbi_sim.errors import SimError, UnknownNameError
@@ -117,10 +117,16 @@ class Model:
         return f"{gains[low]:.2f} ({joints[low]}) to {gains[high]:.2f} ({joints[high]})"
 
     @property
+    def fixed_told(self) -> str:
+        """What is fixed, in words: "mass 0.86 kg"."""
+        units = {p.name: p.unit for p in parameters_of(self.rig, self.effects)} if self.fixed else {}
+        return ", ".join(f"{name} {with_unit(f'{v:g}', units[name])}" for name, v in self.fixed.items()) or "nothing"
+
+    @property
     def made_by(self) -> str:
         """What made this version: "diagnosis", "inference", "remove", "fix", "prior" (a new effect), "built in"."""
         e = self.evidence
-        made = e.get("kind") or ("inference" if e.get("inference") else "fix" if e.get("fixed") else "")
+        made = e.get("kind") or ("inference" if e.get("inference") else "fix" if "fixed" in e else "")
         return made or ("prior" if self.parent else "built in")
 
     @property
@@ -256,7 +262,7 @@ class Model:
             parameters=parameters,
             particles=np.stack(columns, axis=-1),
             parent=self.saved_version,
-            evidence=self._kept(),
+            evidence={**self._kept(), "fixed": {}},
             created=now(),
             fixed=fixed,
         )

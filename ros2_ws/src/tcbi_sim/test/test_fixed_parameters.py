@@ -29,7 +29,7 @@ def test_a_model_with_a_fixed_mass_moves_as_one_whose_parameter_is_that_mass():
 def test_the_others_keep_their_distribution_and_a_freed_one_is_as_wide_as_its_prior():
     np.testing.assert_array_equal(FIXED.particles, HEXAPOD.particles[:, [0, 2]])
     free = FIXED.with_free(["mass"])
-    assert free.names == HEXAPOD.names and not free.fixed
+    assert free.names == HEXAPOD.names and not free.fixed and free.fixed_told == "nothing" and free.made_by == "fix"
     np.testing.assert_array_equal(free.particles[:, [0, 2]], FIXED.particles)
     spread = np.ptp(free.particles[:, 1]) / (HEXAPOD.parameters[1].high - HEXAPOD.parameters[1].low)
     assert spread > 0.9
@@ -39,6 +39,11 @@ def test_the_others_keep_their_distribution_and_a_freed_one_is_as_wide_as_its_pr
 def test_effects_come_and_go_beside_what_is_fixed_and_their_own_parameters_may_be_fixed():
     loaded = FIXED.with_effect("payload").with_fixed({"payload.mass": 0.1})
     assert loaded.names == ("friction", "gain", "payload.x", "payload.y")
+    assert loaded.fixed_told == "mass 0.86 kg, payload.mass 0.1 kg" and loaded.made_by == "fix"
+    values = {**loaded.fixed, **dict(zip(loaded.names, loaded.mean(), strict=True))}
+    free = HEXAPOD.with_effect("payload")
+    heavy = materialise(free, np.array([values[name] for name in free.names]))
+    np.testing.assert_allclose(materialise(loaded).body_mass, heavy.body_mass)
     assert loaded.without_effect("payload").fixed == {"mass": 0.86}
 
 

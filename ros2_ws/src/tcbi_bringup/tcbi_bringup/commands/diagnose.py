@@ -41,7 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="save what is found as a new version and diagnose that, until no effect is named (three effects at most)",
     )
     thorough = parser.add_mutually_exclusive_group()
-    thorough.add_argument("--refine", type=at_least(0), default=3, help="candidates that get a full fit (default: 3)")
+    thorough.add_argument(
+        "--refine", type=at_least(0), default=3, help="candidates that get a full fit, at most (default: 3)"
+    )
     thorough.add_argument(
         "--quick",
         action="store_true",

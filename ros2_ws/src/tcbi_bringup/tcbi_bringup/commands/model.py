@@ -134,7 +134,7 @@ def _show(args: argparse.Namespace, store: "ModelStore") -> int:
         ["made by", facts["made_by"]],
         ["made (UTC)", facts["created"] or "–"],
         ["effects", ", ".join(model.effects) or "none"],
-        ["fixed", ", ".join(f"{name} {value:g}" for name, value in model.fixed.items()) or "nothing"],
+        ["fixed", model.fixed_told],
         ["rollouts it was fitted to", str(facts["rollouts"])],
         ["joints' own gains", facts["joint_gains"]],
         ["error / noise floor, held out", _error(facts)],
@@ -159,8 +159,7 @@ def _fix(args: argparse.Namespace, store: "ModelStore") -> int:
     if args.json:
         console.emit({"model": saved.version, "parent": saved.parent, "fixed": saved.fixed, "parameters": saved.names})
         return 0
-    told = ", ".join(f"{name} {value:g}" for name, value in saved.fixed.items()) or "nothing"
-    print(f"{saved.version}: fixed is {told}; fitted are {', '.join(saved.names)}")
+    print(f"{saved.version}: fixed is {saved.fixed_told}; fitted are {', '.join(saved.names)}")
     if seen:
         print("The others were not fitted beside this: fit them again (./tcbi infer, or ./tcbi diagnose and add).")
     return 0

@@ -130,6 +130,7 @@ def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
         "model": problem.model.version,
         "effects": problem.model.effects,
         "joint_gains": problem.model.joint_gains,
+        "fixed": problem.model.fixed,
         "rollouts": [_digest(m) for g in problem.groups for m in g.measurements],
         "versions": versions(),
         "statistics": problem.observed.channels,
