@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "./tcbi model                                         # all versions of all rigs",
         "./tcbi model hexapod-v2 --json",
-        "./tcbi model hexapod-v0 --fix mass=0.86               # what scales say is fitted no more: a new version",
+        "./tcbi model hexapod-v0 --fix mass=0.86              # what scales say is fitted no more: a new version",
         "./tcbi model latest --use                            # the sim node that runs simulates it from now on",
         "./tcbi model hexapod-v3 --delete                     # an inference or an effect that one does not want",
     )
