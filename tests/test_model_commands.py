@@ -181,6 +181,8 @@ def test_a_measured_value_is_fixed_and_fitted_no_more(bags, tmp_path, capsys):
     assert made["model"] == "servo_bench-v1" and made["fixed"] == {"gain": 0.005} and "gain" not in made["parameters"]
     shown = answer(capsys, "model", "servo_bench-v1", *store)
     assert shown["made_by"] == "fix" and shown["fixed"] == {"gain": 0.005}
+    told = answer(capsys, "diff", "servo_bench-v0", "servo_bench-v1", "--rig", "servo_bench", *store)["statement"]
+    assert "fixed is gain 0.005" in told and "half as wide" not in told
     found = answer(capsys, "diagnose", bags, "--model", "servo_bench-v1", "--effects", "command_latency", *store)
     names = [p["name"] for p in found["base"]["parameters"]]
     assert names == made["parameters"]

@@ -96,7 +96,7 @@ def compare_versions(before: Model, after: Model) -> Difference:
     changes = tuple(_change(p, first.get(p.name), second.get(p.name)) for p in known.values())
     grounds = grounds_of(before), grounds_of(after)
     shared = len(set(grounds[0].rollouts) & set(grounds[1].rollouts))
-    statement = _statement(before.version, after.version, added, removed, changes)
+    statement = _statement(before, after, added, removed, changes)
     return Difference(before.version, after.version, added, removed, changes, *grounds, shared, statement)
 
 
@@ -181,13 +181,16 @@ def _change(p: Parameter, before: Interval | None, after: Interval | None) -> Pa
 
 
 def _statement(
-    before: str, after: str, added: tuple[str, ...], removed: tuple[str, ...], changes: tuple[ParameterChange, ...]
+    first: Model, second: Model, added: tuple[str, ...], removed: tuple[str, ...], changes: tuple[ParameterChange, ...]
 ) -> str:
+    before, after = first.version, second.version
     parts = [f"{after} has {', '.join(added)}, which {before} has not"] if added else []
     parts += [f"{after} lacks {', '.join(removed)}"] if removed else []
     parts = parts or [f"{before} and {after} have the same effects"]
-    apart = [c.name for c in changes if c.overlap == 0]
-    narrower = [c.name for c in changes if c.width_ratio is not None and c.width_ratio < 0.5]
+    parts += [f"fixed is {m.fixed_told} in {m.version}" for m in (first, second) if first.fixed != second.fixed]
+    fitted = [c for c in changes if c.name in first.names and c.name in second.names]
+    apart = [c.name for c in fitted if c.overlap == 0]
+    narrower = [c.name for c in fitted if c.width_ratio is not None and c.width_ratio < 0.5]
     if apart:
         parts.append(f"the 90 % intervals of {', '.join(apart)} do not overlap")
     if narrower:
