@@ -131,7 +131,7 @@ def test_a_fit_to_a_motion_that_diverges_at_every_start_has_not_converged(fitter
 )
 def test_a_fit_is_polished_until_its_loss_stays(fitter, monkeypatch, falls, steps, converged):
     begun = fitter.run(MODEL.to_unit(BASE)[None], radii=())
-    total, trials, stepped, left = fitter._total, fitter._trials, [], list(falls)
+    total, trials, stepped, left = fitter.total, fitter.trials, [], list(falls)
 
     def step(place, *slopes):
         stepped.append(slopes)

@@ -11,7 +11,7 @@ import pytest
 from tcbi_infer.diagnose import base_fit, search
 from tcbi_infer.diagnose.base_fit import better_base
 from tcbi_infer.diagnose.fit import Nuisance
-from tcbi_infer.diagnose.search import Search
+from tcbi_infer.diagnose.search import Search, merged
 from tcbi_infer.diagnose.settings import QUICK, Settings
 
 BASE_LOSS = 1000.0
@@ -50,9 +50,15 @@ class Fake:
         self.starts[self.model] = starts
         return fitted(self.model, self.losses[self.model])
 
-    def escape(self, fit: Any, *_: Any) -> Any:
-        self.calls.append(("escape", self.model))
-        return fit
+
+def leapt(fitter: Fake, fit: Any, *_: Any) -> Any:
+    fitter.calls.append(("leapt", fitter.model))
+    return fit
+
+
+def rescaled(fitter: Fake, fit: Any) -> Any:
+    fitter.calls.append(("rescaled", fitter.model))
+    return fit
 
 
 def fitted(model: str, loss: float) -> Any:
@@ -77,6 +83,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(search, "Fitter", Fake)
         monkeypatch.setattr(search, "start_points", starts)
         monkeypatch.setattr(search, "refined", fine)
+        monkeypatch.setattr(search, "leapt", leapt)
+        monkeypatch.setattr(search, "rescaled", rescaled)
         screen = SimpleNamespace(
             sizes=np.ones(5, int),
             data=None,
@@ -108,14 +116,14 @@ def test_starts_far_from_the_base_fit_are_looked_for_once(made):
     assert Fake.starts["c"].tolist() == [[0.1, 0.2, 2]]
 
 
-def test_who_gains_a_hundredth_of_the_best_one_gets_neither_an_escape_nor_fine_steps(made):
+def test_who_gains_a_hundredth_of_the_best_one_gets_neither_other_valleys_nor_fine_steps(made):
     looked, calls = made({"best": 100.0, "poor": 991.0, "fair": 700.0})
     Fake.few = {"poor": 500.0}
     fits = looked.fit([0], (0.5, 0.7))
-    assert asked(calls, "escape") == asked(calls, "fine") == ["best"]
+    assert asked(calls, "rescaled") == asked(calls, "leapt") == asked(calls, "fine") == ["best"]
     later = looked.fit([1, 2], (0.7, 0.8), fits)
     assert list(later) == [2]
-    assert asked(calls, "escape") == ["best"] and asked(calls, "fine") == ["best", "fair"]
+    assert asked(calls, "leapt") == ["best"] and asked(calls, "fine") == ["best", "fair"]
 
 
 def test_who_gains_nothing_on_a_few_sets_is_not_fitted_to_all(made):
@@ -138,7 +146,7 @@ def test_who_leads_over_all_that_was_fitted_looks_for_other_valleys(made):
     looked, calls = made({"first": 700.0, "leader": 100.0, "second": 650.0})
     fits = looked.fit([0], (0.5, 0.7))
     assert list(looked.fit([1, 2], (0.7, 0.8), fits)) == [1, 2]
-    assert asked(calls, "escape") == ["first", "leader"]
+    assert asked(calls, "rescaled") == asked(calls, "leapt") == ["first", "leader"]
 
 
 def test_a_nuisance_is_no_rival(made):
@@ -164,6 +172,30 @@ def test_a_rival_explains_a_fifth_of_what_the_leader_does_over_the_base_model_by
 
     monkeypatch.setattr(Fake, "start_losses", losses)
     assert list(looked.rivals({0: (leader, leader)})) == found
+
+
+@pytest.mark.parametrize(("there", "again"), [(300.0, True), (900.0, False)])
+def test_a_use_that_was_fitted_is_tried_in_the_place_of_the_leader(made, monkeypatch, there, again):
+    looked, _ = made({"leader": 100.0, "stuck": 600.0})
+    leader, stuck = (
+        SimpleNamespace(**{**vars(fitted(use, loss)), "unit": np.array(unit)})
+        for use, loss, unit in (("leader", 100.0, [0.9, 0.9, 0.3]), ("stuck", 600.0, [0.2, 0.2, 0.3]))
+    )
+
+    def losses(self: Fake, predicted: np.ndarray, _: Any) -> list[float]:
+        far = {"base": 4000.0, "leader": 100.0, "stuck": there}[self.model]
+        near = {"base": 3000.0, "leader": 100.0, "stuck": 600.0}[self.model]
+        return [far if unit[0] > 0.5 else near for unit in predicted]
+
+    monkeypatch.setattr(Fake, "start_losses", losses)
+    fits = {0: (leader, leader), 1: (stuck, stuck)}
+    assert list(looked.rivals(fits)) == [1] * again
+
+
+def test_of_a_use_that_was_fitted_twice_the_better_fit_stays():
+    good, bad, other = fitted("a", 1.0), fitted("a", 2.0), fitted("b", 3.0)
+    assert merged({0: (good, good)}, {0: (bad, bad), 1: (other, other)}) == {0: (good, good), 1: (other, other)}
+    assert merged({0: (bad, bad)}, {0: (good, good)}) == {0: (good, good)}
 
 
 class TwoValleys:
@@ -228,6 +260,6 @@ def test_a_quick_search_looks_for_another_valley_only_when_asked_to(made, monkey
     looked = dataclasses.replace(looked, settings=QUICK)
     fit = fitted("best", 100.0)
     fits = {0: (fit, fit)}
-    monkeypatch.setattr(Fake, "escape", lambda self, fit, *_: fitted("best", loss) if loss < fit.total else fit)
+    monkeypatch.setattr(search, "leapt", lambda _, fit, count: fitted("best", loss) if loss < fit.total else fit)
     assert list(looked.elsewhere(fits)) == better
     assert dataclasses.replace(looked, settings=Settings()).elsewhere(fits) == {}, "it has looked there already"

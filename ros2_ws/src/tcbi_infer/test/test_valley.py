@@ -1,9 +1,11 @@
 """Lines along which forces and masses change together, whatever the scales of their ranges."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from tcbi_infer.diagnose.valley import points_along, weakest
+from tcbi_infer.diagnose.valley import points_along, scaled_together, scales_freely, weakest
 from tcbi_sim.model import Model
 from tcbi_sim.parameter import Parameter
 
@@ -26,6 +28,15 @@ def test_points_stay_within_the_ranges_and_are_apart_from_the_place(place, direc
     points = points_along(MODEL, np.array(place), np.array(direction))
     assert np.all((points >= -1e-9) & (points <= 1 + 1e-9))
     assert not len(points) or np.abs(points - place).max(axis=1).min() > 1e-3
+
+
+def test_forces_scale_together_until_one_is_at_its_bound():
+    place = MODEL.to_unit(np.array([[0.5, 1.2]]))[0]
+    np.testing.assert_allclose(MODEL.from_unit(scaled_together(MODEL, place, 2.0)), [1.0, 2.4])
+    assert scales_freely(MODEL, place, 2.0) and not scales_freely(MODEL, place, 2.5)
+    angle = dataclasses.replace(MASS, name="angle", unit="rad")
+    rigid = Model("one-v0", "hexapod", (), (angle,), np.array([[0.8]]), np.zeros(1))
+    assert not scales_freely(rigid, np.array([0.5]), 1.2), "nothing to scale"
 
 
 def test_the_weakest_direction_is_that_which_nothing_tells_once_the_nuisances_may_follow():

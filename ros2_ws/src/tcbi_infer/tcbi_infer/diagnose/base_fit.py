@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tcbi_infer.diagnose.escape import leapt
 from tcbi_infer.diagnose.fit import RACE, Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import joint_scatter, relinearised
@@ -65,7 +66,7 @@ def fit_base(
     progress("fitting the base model", 0.05)
     again = Fitter(problem, model, joint_scatter(problem, first, sets, settings.coarse), sets, settings.coarse)
     fit = again.run(first.unit[None])
-    return problem, again.escape(fit, len(model.parameters)) if settings.escape else fit
+    return problem, leapt(again, fit, len(model.parameters)) if settings.escape else fit
 
 
 def better_base(

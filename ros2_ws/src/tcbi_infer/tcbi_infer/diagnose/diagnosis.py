@@ -45,7 +45,7 @@ from tcbi_infer.diagnose.motions import ready_motions
 from tcbi_infer.diagnose.null import Null, simulate_null
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.screen import Directions, Screen, simulate_directions
-from tcbi_infer.diagnose.search import Fits, Progress, Search, refined
+from tcbi_infer.diagnose.search import Fits, Progress, Search, merged, refined
 from tcbi_infer.diagnose.settings import Settings
 from tcbi_infer.diagnose.verdict import MOSTLY, Ruling, accept, better_misfit, ranked, rule
 from tcbi_sim.measurement import Measurement
@@ -190,7 +190,7 @@ class _Run:
         gains = screen.held_out(screen.data)[:, :, 0]
         search = Search(self.problem, base, coarse.total, screen, gains, self.sets, self.settings, self.progress)
         fits = search.fit(search.best_by_screening(), FITS)
-        fits |= search.fit(search.rivals(fits), RIVALS, fits)
+        fits = merged(fits, search.fit(search.rivals(fits), RIVALS, fits))
         after = {u: judge.judge(fine) for u, (_, fine) in fits.items()}
         error = judge.held_out_error(before)
         for look in (search.elsewhere, lambda fits: search.fit(search.hidden(fits), HIDDEN, fits)):

@@ -13,7 +13,7 @@ import numpy as np
 from tcbi_infer.diagnose.least_squares import bounded_step, gram
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.slopes import Slopes, unbroken
-from tcbi_infer.diagnose.valley import at_level, points_along, scaled_together, weakest
+from tcbi_infer.diagnose.valley import points_along, weakest
 from tcbi_sim.model import Model
 from tcbi_sim.rigs import load_rig
 
@@ -22,10 +22,7 @@ MOST = 2  # steps at each
 LONGER, SHORTER = 2.0, 0.4  # of the Gauss-Newton step: the longer one where the whole step is good, else the shorter
 GOOD = 0.5  # of the fall of the loss that the slopes promise
 FOLLOWED = 2  # points along a valley, the best by the slopes, that a fit may go to
-LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range, to other valleys of the loss
-SCALINGS = (0.5, 0.7, 1.4, 2.0)  # of all forces and masses, to others
 RACERS = 2  # far points that are fitted a little on few sets before one is chosen
-WORTH = 0.05  # of the loss: a far point that is lower by less is not followed
 RACE = (0.08, 0.05)  # radii of these fits
 FINALISTS = 3  # of many starts
 FEW_SETS = 2  # that choose them
@@ -111,7 +108,7 @@ class Trial:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Place:
+class Place:
     """Where a fit stands: (P,) parameters, (Q,) nuisances, the prediction without these, residual and scales with."""
 
     unit: np.ndarray
@@ -148,9 +145,9 @@ class Fitter:
         """Positions of a few open sets that stand for all in a first fit."""
         return np.unique(np.linspace(0, len(self.sets) - 1, FEW_SETS).astype(int))
 
-    def on_few_sets(self) -> "Fitter":
-        """A fitter of these alone, with rough time steps: it says where to go on, and no more."""
-        step = max(self.timestep, ROUGH_STEP)
+    def on_few_sets(self, timestep: float = 0.0) -> "Fitter":
+        """A fitter of these alone, with rough time steps or those given (s): it says where to go on, and no more."""
+        step = timestep or max(self.timestep, ROUGH_STEP)
         return Fitter(self.problem, self.model, self.scatter, self.sets[self.few_positions()], step)
 
     def predict(self, unit: np.ndarray) -> np.ndarray:
@@ -237,7 +234,7 @@ class Fitter:
         """
         delta = np.zeros(self.scatter.effect.shape[-1]) if nuisance is None else nuisance.copy()
         unit, predicted = self.best_start(starts, delta)
-        place = self._place(unit, delta, predicted)
+        place = self.place(unit, delta, predicted)
         slopes = Slopes(self.predict_for_slopes)
         self._remember(slopes, [unit], [predicted])
         jacobian, bend = np.zeros((*place.residual.shape, len(unit))), np.zeros_like(place.residual)
@@ -246,14 +243,14 @@ class Fitter:
             if valleys and number > 0:
                 place = self._along_the_valley(place, jacobian, bend, slopes)
             for _ in range(most):
-                jacobian, bend = slopes.at(place.unit, self._for_slopes(place), radius)
+                jacobian, bend = slopes.at(place.unit, self.for_slopes(place), radius)
                 before, tried = self._stepped(place, jacobian, bend)
                 self._remember(slopes, [t.unit for t in tried], [t.predicted for t in tried])
                 best = min(tried, key=lambda t: t.total)
                 moved = float(np.max(np.abs(best.unit - place.unit)))
                 fell = before - best.total if best.total < before else 0.0
                 if fell > 0.0:
-                    place = self._place(best.unit, best.nuisance, best.predicted)
+                    place = self.place(best.unit, best.nuisance, best.predicted)
                 stays = moved < SMALL_STEP or fell < max(SMALL_GAIN, SMALL_SHARE * abs(before))
                 converged = min(before, best.total) < np.inf and stays
                 if converged:
@@ -265,43 +262,43 @@ class Fitter:
         if self.slopes_step == self.timestep:
             slopes.remember(np.asarray(units), np.asarray(predicted))
 
-    def _for_slopes(self, place: "_Place") -> np.ndarray:
+    def for_slopes(self, place: Place | Trial) -> np.ndarray:
         """(open sets, T, C) the prediction at a place, with the time step of slopes."""
         same = self.slopes_step == self.timestep
         return place.predicted if same else self.predict_for_slopes(place.unit)[0]
 
-    def _place(self, unit: np.ndarray, nuisance: np.ndarray, predicted: np.ndarray) -> _Place:
+    def place(self, unit: np.ndarray, nuisance: np.ndarray, predicted: np.ndarray) -> Place:
         residual = self.residual(predicted, nuisance)
-        return _Place(unit, nuisance, predicted, residual, self.scales(residual))
+        return Place(unit, nuisance, predicted, residual, self.scales(residual))
 
-    def _stepped(self, place: _Place, jacobian: np.ndarray, bend: np.ndarray) -> tuple[float, list[Trial]]:
+    def _stepped(self, place: Place, jacobian: np.ndarray, bend: np.ndarray) -> tuple[float, list[Trial]]:
         """The loss at a place, and two trials of a Gauss-Newton step from there: the whole one and another.
 
         That is longer where the loss falls as the slopes promise (these count less where they bend, so steps are
         short), and shorter where it does not.
         """
-        before = self._total(place.residual, place.nuisance, place.scale)
-        normal, slope = self._quadratic(place.residual, place.scale, jacobian, bend)
+        before = self.total(place.residual, place.nuisance, place.scale)
+        normal, slope = self.quadratic(place.residual, place.scale, jacobian, bend)
         step = bounded_step(normal.sum(axis=0), slope.sum(axis=0), place.unit, place.nuisance)
         move, move_delta = step[: len(place.unit)], step[len(place.unit) :]
         left = place.residual - jacobian @ move - self.scatter.effect[self.sets] @ move_delta
-        expected = before - self._total(left, place.nuisance + move_delta, place.scale)
+        expected = before - self.total(left, place.nuisance + move_delta, place.scale)
 
         def trial(share: float) -> Trial:
             end = np.clip(place.unit + share * move, 0.0, 1.0)
-            return self._trials(end[None], place.nuisance + share * move_delta, place.scale)[0]
+            return self.trials(end[None], place.nuisance + share * move_delta, place.scale)[0]
 
         whole = trial(1.0)
         return before, [whole, trial(LONGER if before - whole.total > GOOD * expected else SHORTER)]
 
-    def _along_the_valley(self, place: _Place, jacobian: np.ndarray, bend: np.ndarray, slopes: Slopes) -> _Place:
+    def _along_the_valley(self, place: Place, jacobian: np.ndarray, bend: np.ndarray, slopes: Slopes) -> Place:
         """The best place far along the direction that the data tell worst; the present one if none is better.
 
         A far point's loss is mostly that of its distance from the valley's floor, so a Gauss-Newton step across the
         valley is made from each, with the slopes known here: what is then expected to be left ranks them.
         """
         count = len(place.unit)
-        normal, _ = self._quadratic(place.residual, place.scale, jacobian, bend)
+        normal, _ = self.quadratic(place.residual, place.scale, jacobian, bend)
         floor = weakest(normal.sum(axis=0), count)
         wall = np.zeros_like(normal[0])
         wall[:count, :count] = np.trace(normal.sum(axis=0)) * np.outer(floor, floor)  # keeps a step from going back
@@ -309,56 +306,37 @@ class Fitter:
         if not len(units):  # it ends here, at a bound
             return place
         ends: list[tuple[float, np.ndarray]] = []
-        trials = self._trials(units, place.nuisance, place.scale)
+        trials = self.trials(units, place.nuisance, place.scale)
         for t in trials:
             if t.total < np.inf:
                 residual = self.residual(t.predicted, t.nuisance)
-                matrix, slope = self._quadratic(residual, place.scale, jacobian, bend)
+                matrix, slope = self.quadratic(residual, place.scale, jacobian, bend)
                 step = bounded_step(matrix.sum(axis=0) + wall, slope.sum(axis=0), t.unit, t.nuisance)
                 left = residual - jacobian @ step[:count] - self.scatter.effect[self.sets] @ step[count:]
-                ends.append((self._total(left, t.nuisance + step[count:], place.scale), t.unit + step[:count]))
-        before = self._total(place.residual, place.nuisance, place.scale)
+                ends.append((self.total(left, t.nuisance + step[count:], place.scale), t.unit + step[:count]))
+        before = self.total(place.residual, place.nuisance, place.scale)
         followed = [
             np.clip(end, 0.0, 1.0) for left, end in sorted(ends, key=lambda e: e[0])[:FOLLOWED] if left < before
         ]
         if followed:
-            trials += self._trials(np.array(followed), place.nuisance, place.scale)
+            trials += self.trials(np.array(followed), place.nuisance, place.scale)
         self._remember(slopes, [t.unit for t in trials], [t.predicted for t in trials])
         best = min(trials, key=lambda t: t.total)
-        return self._place(best.unit, best.nuisance, best.predicted) if best.total < before else place
+        return self.place(best.unit, best.nuisance, best.predicted) if best.total < before else place
 
-    def _trials(self, units: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> list[Trial]:
+    def trials(self, units: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> list[Trial]:
         """Each of (N, P) places, with the nuisances that suit it best."""
         trials = []
         for unit, predicted in zip(units, self.predict(units), strict=True):
             own = self.profiled(predicted, delta, scale)
-            trials.append(Trial(unit, own, predicted, self._total(self.residual(predicted, own), own, scale)))
+            trials.append(Trial(unit, own, predicted, self.total(self.residual(predicted, own), own, scale)))
         return trials
-
-    def escape(self, fit: Fit, count: int) -> Fit:
-        """The fit, or a better one begun far off: along one of the first `count` parameters, or all forces scaled.
-
-        Whether a foot slips or sticks turns at some friction, and a stiffer and heavier robot moves nearly alike, so
-        the loss has several valleys. They are narrow: a far point says little before it has been fitted a little.
-        """
-        far = [at_level(fit.unit, p, fit.unit[p] + leap) for p in range(count) for leap in LEAPS]
-        far += [scaled_together(self.model, fit.unit, factor) for factor in SCALINGS]
-        starts = np.array([f for f in far if np.abs(f - fit.unit).max() > min(np.abs(LEAPS)) / 4])
-        few = self.on_few_sets()
-        order = np.argsort(few.start_losses(few.predict(starts), fit.nuisance))[:RACERS]
-        raced = [few.run(starts[i][None], fit.nuisance, RACE, valleys=False) for i in order]
-        best = min(raced, key=lambda f: f.total)
-        here = few.run(fit.unit[None], fit.nuisance, ())
-        if not best.total < (1.0 - WORTH) * here.total:
-            return fit
-        other = self.run(best.unit[None], fit.nuisance)
-        return other if other.total < fit.total else fit
 
     def polish(self, fit: Fit) -> Fit:
         """A fit at another time step carried on at this one."""
         return self.run(fit.unit[None], fit.nuisance, CLOSE_RADII, ROUNDS, valleys=False)
 
-    def _total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
+    def total(self, residual: np.ndarray, delta: np.ndarray, scale: np.ndarray) -> float:
         return float(self.problem.loss(residual, scale, self.sets).sum() + 0.5 * delta @ delta)
 
     def precision(self, residual: np.ndarray, scale: np.ndarray, bend: np.ndarray) -> np.ndarray:
@@ -369,16 +347,16 @@ class Fitter:
         sigma = self.problem.floor * scale[self.problem.group]
         return alive[:, None, None] * self.problem.precision(full, scale)[self.sets] / (1.0 + (bend / sigma) ** 2)
 
-    def _quadratic(
+    def quadratic(
         self, residual: np.ndarray, scale: np.ndarray, jacobian: np.ndarray, bend: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(open sets, K, K) normal matrices and (open sets, K) slopes of parameters and nuisances."""
         design = np.concatenate([jacobian, self.scatter.effect[self.sets]], axis=-1)
         return gram(design, np.nan_to_num(residual), self.precision(residual, scale, bend))
 
-    def _finish(self, place: _Place, jacobian: np.ndarray, bend: np.ndarray, converged: bool) -> Fit:
+    def _finish(self, place: Place, jacobian: np.ndarray, bend: np.ndarray, converged: bool) -> Fit:
         residual, scale = place.residual, place.scale
-        normal, slope = self._quadratic(residual, scale, jacobian, bend)
+        normal, slope = self.quadratic(residual, scale, jacobian, bend)
         square = (self.precision(residual, scale, bend) * np.nan_to_num(residual) ** 2).sum(axis=(1, 2))
         return Fit(
             self.model,

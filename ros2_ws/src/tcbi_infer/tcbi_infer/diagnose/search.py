@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 
 from tcbi_infer.diagnose import paired
+from tcbi_infer.diagnose.escape import leapt, rescaled
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import relinearised
@@ -109,7 +110,8 @@ class Search:
 
         A base fit that answered late because its servos were soft hid one kind of latency and not the other. What
         happens at one place only is no rival of what happens everywhere, and the scatter of a joint is none where it is
-        a nuisance: the leader was fitted with it.
+        a nuisance: the leader was fitted with it. A use that was fitted is one again if it starts lower there than its
+        own fit ended: the leader may have found a valley that it was never shown.
 
         Returns:
           Uses, each with the (1, P) start that explains most.
@@ -128,13 +130,15 @@ class Search:
         scatter = {f"gain_scatter:{joint}" for joint in self.base.scatter.names}
         explained: dict[int, tuple[float, np.ndarray]] = {}
         for u, model in enumerate(self.screen.directions.models):
-            if u in fits or (":" in self.names[u] and not anywhere) or self.names[u] in scatter:
+            if u == leader or (":" in self.names[u] and not anywhere) or self.names[u] in scatter:
                 continue
+            rough = fits[u][0] if u in fits else None
+            own_fit = self._losses_on_few(model, rough.unit, rough.nuisance, rough.scatter) if rough else []
             sizes = self.screen.sized(self.screen.data, u, RIVAL_SIZES, 1)
             starts = np.concatenate([np.repeat(known[None], len(sizes), axis=0), sizes], axis=1)
             losses = self._losses_on_few(model, starts, best.nuisance, best.scatter)
             i = int(np.argmin(losses))
-            if losses[i] < most:
+            if losses[i] < min([most, *own_fit]):
                 explained[u] = losses[i], starts[i]
         nearest = sorted(explained, key=lambda u: explained[u][0])[: self.settings.per_effect]
         return {u: explained[u][1][None] for u in nearest}
@@ -164,11 +168,12 @@ class Search:
         for i, u in enumerate(promising):
             told(f"fitting {self.names[u]}", COARSE, i / len(promising))
             fitted[u] = self._fitter(self.screen.directions.models[u]).run(starts[u])
-        if self.settings.escape and fitted:
+        if fitted:
             u = min(fitted, key=lambda u: fitted[u].total)
             if fitted[u].total <= least_loss:
                 told(f"fitting {self.names[u]} in other valleys", ESCAPE, 0.0)
-                fitted[u] = self._escaped(fitted[u])
+                fitted[u] = rescaled(self._fitter(fitted[u].model), fitted[u])
+                fitted[u] = self._escaped(fitted[u]) if self.settings.escape else fitted[u]
         gains = {u: self.base_loss - rough.total for u, rough in fitted.items()}
         best = max([self.base_loss - least_loss, *gains.values()])
         least = min(NO_RIVAL * best, best)
@@ -203,7 +208,7 @@ class Search:
         """The best valley around a coarse fit; far from the base model's, the scatter needs slopes of its own there."""
         steps = self.settings.coarse
         here = relinearised(self.problem, rough, self.sets, steps)
-        there = self._fitter(rough.model, here.scatter).escape(here, len(self.base.unit))
+        there = leapt(self._fitter(rough.model, here.scatter), here, len(self.base.unit))
         return here if there is here else relinearised(self.problem, there, self.sets, steps)
 
     def alike(self, uses: Sequence[int]) -> dict[str, tuple[str, ...]]:
@@ -222,6 +227,11 @@ class Search:
     def _fitter(self, model: Model, scatter: Nuisance | None = None) -> Fitter:
         """Of a model, with the base model's scatter unless another is given."""
         return Fitter(self.problem, model, scatter or self.base.scatter, self.sets, self.settings.coarse)
+
+
+def merged(fits: Fits, further: Fits) -> Fits:
+    """All of them; of a use that was fitted twice the better fit."""
+    return fits | {u: f for u, f in further.items() if u not in fits or f[1].total < fits[u][1].total}
 
 
 def refined(problem: Problem, fit: Fit, sets: np.ndarray, settings: Settings) -> Fit:

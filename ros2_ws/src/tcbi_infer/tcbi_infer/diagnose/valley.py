@@ -9,6 +9,7 @@ and far points much.
 import numpy as np
 
 from tcbi_sim.model import Model
+from tcbi_sim.parameter import Parameter
 
 REACH = (-0.4, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.4)  # of a range, of the parameter that moves farthest
 LEAST = 0.01  # of a range: nearer points are no news
@@ -56,9 +57,16 @@ def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray
     """
     result = unit.copy()
     for i, p in enumerate(model.parameters):
-        if p.low >= 0 and (p.unit.startswith(("kg", "N"))):
+        if _is_force(p):
             result[i] = p.to_unit(np.clip(float(p.from_unit(unit[i])) * factor, p.low, p.high))
     return result
+
+
+def scales_freely(model: Model, unit: np.ndarray, factor: float) -> bool:
+    """Whether `scaled_together` has something to scale, and no bound in its way."""
+    before, after = model.from_unit(np.array([unit, scaled_together(model, unit, factor)]))
+    scaled = np.array([_is_force(p) for p in model.parameters]) & (before > 0)
+    return bool(scaled.any() and np.allclose(after[scaled], factor * before[scaled], rtol=1e-3))
 
 
 def at_level(unit: np.ndarray, parameter: int, level: float) -> np.ndarray:
@@ -66,3 +74,8 @@ def at_level(unit: np.ndarray, parameter: int, level: float) -> np.ndarray:
     moved = unit.copy()
     moved[parameter] = np.clip(level, 0.02, 0.98)
     return moved
+
+
+def _is_force(parameter: Parameter) -> bool:
+    """Whether it is a force, a mass or a stiffness."""
+    return parameter.low >= 0 and parameter.unit.startswith(("kg", "N"))

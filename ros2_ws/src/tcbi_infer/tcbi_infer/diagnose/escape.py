@@ -1,0 +1,84 @@
+"""Other valleys of the loss, where a fit may have ended in the wrong one."""
+
+import numpy as np
+
+from tcbi_infer.diagnose.fit import RACE, RACERS, Fit, Fitter, Trial
+from tcbi_infer.diagnose.least_squares import bounded_step
+from tcbi_infer.diagnose.slopes import Slopes
+from tcbi_infer.diagnose.valley import at_level, scaled_together, scales_freely
+
+LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range
+WORTH = 0.05  # of the loss: a far point that is lower by less is not followed
+SCALING = 1.22  # of all forces and masses, from one point to the next
+SCALINGS = 6  # at most, each way
+CROSSINGS = 2  # steps across, at each point
+CLOSE = 0.05  # of a range: the radius of slopes there
+STEEP = 1.3  # times the least loss: where the floor rises so far nothing is looked for beyond
+LEVEL = 1.03  # times the loss here: no higher end on few sets is followed on all
+
+
+def leapt(fitter: Fitter, fit: Fit, count: int) -> Fit:
+    """The fit, or a better one begun far off along one of the first `count` parameters.
+
+    Whether a foot slips or sticks turns at some friction, so the loss has several valleys. They are narrow: a far point
+    says little before it has been fitted a little.
+    """
+    far = [at_level(fit.unit, p, fit.unit[p] + leap) for p in range(count) for leap in LEAPS]
+    starts = np.array([f for f in far if np.abs(f - fit.unit).max() > min(np.abs(LEAPS)) / 4])
+    few = fitter.on_few_sets()
+    order = np.argsort(few.start_losses(few.predict(starts), fit.nuisance))[:RACERS]
+    raced = [few.run(starts[i][None], fit.nuisance, RACE, valleys=False) for i in order]
+    best = min(raced, key=lambda f: f.total)
+    here = few.run(fit.unit[None], fit.nuisance, ())
+    if not best.total < (1.0 - WORTH) * here.total:
+        return fit
+    other = fitter.run(best.unit[None], fit.nuisance)
+    return other if other.total < fit.total else fit
+
+
+def rescaled(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit, or a better one with all forces and masses multiplied alike.
+
+    A stiffer and heavier robot moves nearly as a lighter one does, so the loss has a long valley there, with steep
+    walls: where an effect is new to a fit, its steps go down the nearest wall and not along. So few sets are followed
+    along the floor, the other parameters settled at each factor, begun from the factor before.
+    """
+    if not fit.total < np.inf:
+        return fit
+    few = fitter.on_few_sets(fitter.timestep)
+    here = few.trials(fit.unit[None], fit.nuisance, fit.scale)[0]
+    ends = [end for factor in (SCALING, 1.0 / SCALING) for end in _along(few, here, fit.scale, factor)]
+    likely = sorted((e for e in ends if e.total < LEVEL * here.total), key=lambda e: e.total)[:RACERS]
+    others = [fitter.run(end.unit[None], fit.nuisance, RACE, valleys=False) for end in likely]
+    return min([fit, *others], key=lambda f: f.total)
+
+
+def _along(few: Fitter, here: Trial, scale: np.ndarray, factor: float) -> list[Trial]:
+    """Places on the valley's floor, one factor after the other."""
+    slopes, found, least = Slopes(few.predict_for_slopes), [], here.total
+    for _ in range(SCALINGS):
+        if not scales_freely(few.model, here.unit, factor):
+            break
+        here = _across(few, here, scaled_together(few.model, here.unit, factor), scale, slopes)
+        found.append(here)
+        least = min(least, here.total)
+        if not here.total < STEEP * least:
+            break
+    return found
+
+
+def _across(few: Fitter, here: Trial, unit: np.ndarray, scale: np.ndarray, slopes: Slopes) -> Trial:
+    """The best place across the valley from a scaled one, which the steps do not undo."""
+    count, away = len(unit), (unit - here.unit) / np.linalg.norm(unit - here.unit)
+    best = few.trials(unit[None], here.nuisance, scale)[0]
+    for _ in range(CROSSINGS):
+        if not best.total < np.inf:
+            break
+        jacobian, bend = slopes.at(best.unit, few.for_slopes(best), CLOSE)
+        normal, slope = few.quadratic(few.residual(best.predicted, best.nuisance), scale, jacobian, bend)
+        matrix = normal.sum(axis=0)
+        matrix[:count, :count] += np.trace(matrix) * np.outer(away, away)
+        step = bounded_step(matrix, slope.sum(axis=0), best.unit, best.nuisance)
+        end = np.clip(best.unit + step[:count], 0.0, 1.0)
+        best = min(best, few.trials(end[None], best.nuisance + step[count:], scale)[0], key=lambda t: t.total)
+    return best
