@@ -22,7 +22,7 @@ SIZES = {  # (the library's parameter, the truth's value that says the same); ot
     "link_flexibility": (("compliance", "compliance_rad_per_n_m"),),
     "load_friction": (("share", "lost_share"),),
     "lost_commands": (("share", "lost_share"),),
-    "payload": (("mass", "mass_kg"),),
+    "payload": (("mass", "mass_kg"), ("moment_x", "moment_x_kg_m"), ("moment_y", "moment_y_kg_m")),
     "rotor_inertia": (("inertia", "inertia_kg_m2"),),
     "sensor_latency": (("delay", "latency_s"),),
     "slippery_ground": (("grip", "grip"),),

@@ -116,6 +116,13 @@ def test_starts_far_from_the_base_fit_are_looked_for_once(made):
     assert Fake.starts["c"].tolist() == [[0.1, 0.2, 2]]
 
 
+def test_of_an_effect_with_places_the_one_that_explains_most_is_looked_for_and_none_again_that_was_fitted(made):
+    looked, calls = made({"leg:a": 500.0, "leg:b": 300.0, "leg:c": 200.0, "damping": 400.0})
+    assert list(looked.hidden([0])) == [2, 3]
+    assert asked(calls, "starts") == ["leg:c", "damping"], "not fitted yet"
+    assert not looked.hidden([0, 1, 2, 3])
+
+
 def test_who_gains_a_hundredth_of_the_best_one_gets_neither_other_valleys_nor_fine_steps(made):
     looked, calls = made({"best": 100.0, "poor": 991.0, "fair": 700.0})
     Fake.few = {"poor": 500.0}

@@ -105,11 +105,17 @@ def trunk(effects: tuple[str, ...] = (), **values: float) -> tuple[float, np.nda
     return float(body.mass[0]), body.ipos, turn @ np.diag(body.inertia) @ turn.T
 
 
-@pytest.mark.parametrize("added", [0.0, 0.4])
+def loaded(mass: float, moment_x: float, moment_y: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """The trunk with a payload."""
+    told = {"mass": mass, "moment_x": moment_x, "moment_y": moment_y}
+    return trunk(("payload",), **{f"payload.{name}": value for name, value in told.items()})
+
+
+@pytest.mark.parametrize("added", [0.0, 0.3])
 def test_a_payload_adds_a_point_mass_to_the_trunk(added):
     """Against the inertia tensors of all masses about the origin, which add up (parallel axes)."""
     place = np.array([0.1, -0.06, 0.03])
-    mass, center, inertia = trunk(("payload",), **{"payload.mass": added, "payload.x": 0.1, "payload.y": -0.06})
+    mass, center, inertia = loaded(added, *(added * place[:2]))
     old_mass, old_center, old_inertia = trunk()
 
     def about_origin(m, r):
@@ -119,6 +125,13 @@ def test_a_payload_adds_a_point_mass_to_the_trunk(added):
     np.testing.assert_allclose(mass * center, old_mass * old_center + added * place, atol=1e-12)
     whole = old_inertia + about_origin(old_mass, old_center) + about_origin(added, place)
     np.testing.assert_allclose(inertia + about_origin(mass, center), whole, atol=1e-9)
+
+
+def test_a_moment_without_a_mass_moves_the_centre_of_the_trunk_alone():
+    (old_mass, old_center, old_inertia), (mass, center, inertia) = trunk(), loaded(0.0, 0.01, -0.02)
+    assert mass == old_mass
+    np.testing.assert_allclose(center - old_center, np.array([0.01, -0.02, 0.0]) / old_mass)
+    np.testing.assert_allclose(inertia, old_inertia)
 
 
 @pytest.mark.parametrize("key", ["battery_sag", "thermal_fading"])

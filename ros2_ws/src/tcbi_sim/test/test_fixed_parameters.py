@@ -38,7 +38,7 @@ def test_the_others_keep_their_distribution_and_a_freed_one_is_as_wide_as_its_pr
 
 def test_effects_come_and_go_beside_what_is_fixed_and_their_own_parameters_may_be_fixed():
     loaded = FIXED.with_effect("payload").with_fixed({"payload.mass": 0.1})
-    assert loaded.names == ("friction", "gain", "payload.x", "payload.y")
+    assert loaded.names == ("friction", "gain", "payload.moment_x", "payload.moment_y")
     assert loaded.fixed_told == "mass 0.86 kg, payload.mass 0.1 kg" and loaded.made_by == "fix"
     values = {**loaded.fixed, **dict(zip(loaded.names, loaded.mean(), strict=True))}
     free = HEXAPOD.with_effect("payload")

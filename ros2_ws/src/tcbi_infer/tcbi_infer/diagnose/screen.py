@@ -59,8 +59,8 @@ def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
     Two sizes of each parameter that has a null value, and all of them together; those that have none, and say where or
     how, stand at their nominal values and, with the larger size, at the corners of their ranges. A single point for an
     effect with one parameter and many places, where the straight line through it has to do; and one size each way of
-    a tilt or a bias, whose null value lies inside its range, among several parameters: such an effect has no threshold,
-    and `with_sums` has several of them together.
+    a tilt, a bias or a moment, whose null value lies inside its range, among several parameters: such an effect has no
+    threshold, and `with_sums` has several of them together.
     """
     own = model.parameters[base_count:]
     nominal = np.array([float(p.to_unit(p.nominal)) for p in own])
@@ -82,7 +82,7 @@ def effect_points(model: Model, base_count: int, many: bool) -> np.ndarray:
                 point[placed] = place
                 point[i] = null[i] + sign * size * room
                 points.append(point)
-    both_ways = not len(placed) and bool(np.all(np.minimum(null, 1 - null) >= NO_ROOM))
+    both_ways = not len(placed) and bool(np.any(np.minimum(null, 1 - null) >= NO_ROOM))
     for ends in itertools.product((0.0, 1.0), repeat=len(sized)) if len(sized) > 1 and not both_ways else ():
         point = rest.copy()
         point[sized] += SIZES[-1] * (np.array(ends) - point[sized])

@@ -83,23 +83,25 @@ class Search:
         return {u: (other, found)} if found.total < fine.total else {}
 
     def hidden(self, fits: Collection[int]) -> dict[int, np.ndarray]:
-        """Uses of other effects that start well far from the base fit, where what was fitted leaves too much.
+        """Uses that start well far from the base fit, of other effects and of other places, where too much is left.
 
         A base fit that bent itself to make up for an effect hides it from the screening, which looks along straight
-        lines from there: soft servos and half the weight passed for grease once.
+        lines from there: soft servos and half the weight passed for grease once. Of an effect with several places, the
+        one where some size of it leaves least of a few sets.
 
         Returns:
           Uses, each with (n, P) starts.
         """
-        seen, none = {_effect(self.names[u]) for u in fits}, np.zeros(len(self.base.nuisance))
+        none = np.zeros(len(self.base.nuisance))
+        places: dict[str, list[int]] = {}
+        for u in map(int, np.argsort(-self.worth)):
+            if u not in fits:
+                places.setdefault(_effect(self.names[u]), []).append(u)
         losses: dict[int, float] = {}
         starts: dict[int, np.ndarray] = {}
-        for u in map(int, np.argsort(-self.worth)):
-            name = _effect(self.names[u])
-            if name in seen or len(losses) == self.settings.further or not self.settings.refine:
-                continue
-            seen.add(name)
-            self.progress(f"looking for {self.names[u]} elsewhere", 0.95)
+        for name in list(places)[: self.settings.further if self.settings.refine else 0]:
+            self.progress(f"looking for {name} elsewhere", 0.95)
+            u = min(places[name], key=self._loss_on_few) if len(places[name]) > 1 else places[name][0]
             starts[u] = self._starts(u)
             losses[u] = min(self._losses_on_few(self.screen.directions.models[u], starts[u], none))
         nearest = sorted(losses, key=lambda u: losses[u])[: self.settings.per_effect]
@@ -210,6 +212,12 @@ class Search:
         here = relinearised(self.problem, rough, self.sets, steps)
         there = leapt(self._fitter(rough.model, here.scatter), here, len(self.base.unit))
         return here if there is here else relinearised(self.problem, there, self.sets, steps)
+
+    def _loss_on_few(self, use: int) -> float:
+        """The least that a use leaves of a few sets at some size, beside the base model's fit."""
+        sizes = self.screen.sized(self.screen.data, use, RIVAL_SIZES, 1)
+        starts = np.concatenate([np.repeat(self.base.unit[None], len(sizes), axis=0), sizes], axis=1)
+        return min(self._losses_on_few(self.screen.directions.models[use], starts, np.zeros(len(self.base.nuisance))))
 
     def alike(self, uses: Sequence[int]) -> dict[str, tuple[str, ...]]:
         """By each use's name, the others that change the signals as it does, or of which one includes the other."""

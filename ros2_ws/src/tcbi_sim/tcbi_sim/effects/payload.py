@@ -1,4 +1,4 @@
-"""A mass that the model does not know of, somewhere on the trunk."""
+"""A mass that the model does not know of, somewhere on the trunk, or a trunk whose weight lies off its middle."""
 
 import mujoco
 import numpy as np
@@ -8,16 +8,20 @@ from tcbi_sim.fields import Fields
 from tcbi_sim.parameter import Parameter
 from tcbi_sim.rig import Rig
 
+HEIGHT = 0.03  # m, above the trunk's middle
+REACH = (0.1, 0.06)  # m, forward and to the left: for the inertia, no farther off however large a moment is
+
 
 def apply(fields: Fields, rig: Rig, site: str, values: Values) -> None:
     trunk = fields.body(rig.base)
     mass, center = fields.model["body_mass"], fields.model["body_ipos"]
     added, old = values["mass"], mass[:, trunk].copy()
-    place = np.stack([values["x"], values["y"], np.full_like(added, 0.03)], axis=-1)
+    moment = np.stack([values["moment_x"], values["moment_y"], HEIGHT * added], axis=-1)
+    place = np.clip(moment[:, :2], -np.outer(added, REACH), np.outer(added, REACH)) / np.maximum(added, 1e-9)[:, None]
+    place = np.column_stack([place, np.full_like(added, HEIGHT)])
     total = old + added
-    offset = place - center[:, trunk]
-    _add_inertia(fields, trunk, old * added / total, offset)
-    center[:, trunk] += offset * (added / total)[:, None]
+    _add_inertia(fields, trunk, old * added / total, place - center[:, trunk])
+    center[:, trunk] = (old[:, None] * center[:, trunk] + moment) / total[:, None]
     mass[:, trunk] = total
 
 
@@ -35,15 +39,18 @@ EFFECT = Effect(
     name="payload",
     physics=(
         "A battery, camera or cable adds weight at a place. All legs carry more, those near it most, and the trunk "
-        "leans towards it; on a slope more so."
+        "leans towards it; on a slope more so. How far it leans goes with the first moment, mass times distance, "
+        "which rollouts tell better than either. A moment without a mass is a trunk whose centre of mass is elsewhere."
     ),
     source=(
         "Atkeson, An and Hollerbach, Estimation of inertial parameters of manipulator loads and links, IJRR 5 (1986)"
     ),
     parameters=(
         Parameter("mass", "kg", 0.0, 0.5, 0.15, null=0.0, description="added to the trunk, 30 mm above its middle"),
-        Parameter("x", "m", -0.1, 0.1, 0.0, description="forward of the trunk's middle"),
-        Parameter("y", "m", -0.06, 0.06, 0.0, description="to the left of the trunk's middle"),
+        Parameter(
+            "moment_x", "kg m", -0.03, 0.03, 0.006, null=0.0, description="it times its distance forward of the middle"
+        ),
+        Parameter("moment_y", "kg m", -0.03, 0.03, 0.003, null=0.0, description="it times its distance to the left"),
     ),
     apply=apply,
     requires=floating_rig,

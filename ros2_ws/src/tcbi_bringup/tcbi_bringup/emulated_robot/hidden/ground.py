@@ -23,6 +23,7 @@ class Backpack(HiddenEffect):
         corner = rng.choice([-1.0, 1.0], 2) * rng.uniform((0.035, 0.015), (0.065, 0.035))
         self._xy = (float(corner[0]), float(corner[1]))
         self.truth = {"mass_kg": self.size, "x_m": self._xy[0], "y_m": self._xy[1]}
+        self.truth |= {f"moment_{axis}_kg_m": self.size * r for axis, r in zip("xy", self._xy, strict=True)}
 
     def attach(self, build: Build, drawing: Drawing) -> None:
         height = (drawing.trunk_size[2] + self.SIZE[2]) / 2
