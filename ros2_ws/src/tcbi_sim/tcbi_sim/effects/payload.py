@@ -47,10 +47,10 @@ EFFECT = Effect(
     ),
     parameters=(
         Parameter("mass", "kg", 0.0, 0.5, 0.15, null=0.0, description="added to the trunk, 30 mm above its middle"),
+        Parameter("moment_x", "kg m", -0.03, 0.03, 0.006, null=0.0, description="the mass times how far forward it is"),
         Parameter(
-            "moment_x", "kg m", -0.03, 0.03, 0.006, null=0.0, description="it times its distance forward of the middle"
+            "moment_y", "kg m", -0.03, 0.03, 0.003, null=0.0, description="the mass times how far to the left it is"
         ),
-        Parameter("moment_y", "kg m", -0.03, 0.03, 0.003, null=0.0, description="it times its distance to the left"),
     ),
     apply=apply,
     requires=floating_rig,
