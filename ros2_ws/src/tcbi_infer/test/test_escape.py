@@ -8,7 +8,8 @@ from bench_recordings import BASE, record
 
 from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.diagnose.escape import SCALING, rescaled
+from tcbi_infer.diagnose import escape
+from tcbi_infer.diagnose.escape import DRIFTED, FACTOR, rescaled, resized
 from tcbi_infer.diagnose.fit import Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import base_model
@@ -41,7 +42,7 @@ def test_a_fit_at_the_wall_of_the_valley_finds_the_forces_all_of_which_are_wrong
     stuck = fitter.run(MODEL.to_unit(factor * BASE)[None], radii=())
     found = rescaled(fitter, stuck)
     assert found.total < stuck.total
-    assert found.parameters[0] == pytest.approx(BASE[0], rel=SCALING - 1.0)
+    assert found.parameters[0] == pytest.approx(BASE[0], rel=FACTOR - 1.0)
 
 
 def test_the_best_place_of_the_valley_is_kept(fitter):
@@ -51,7 +52,23 @@ def test_the_best_place_of_the_valley_is_kept(fitter):
 
 def test_where_the_forces_are_at_their_bounds_or_the_fit_diverged_it_stays(fitter, monkeypatch):
     fit = fitter.run(MODEL.to_unit(BASE)[None], radii=())
-    monkeypatch.setattr("tcbi_infer.diagnose.escape.scales_freely", lambda *_: False)
+    monkeypatch.setattr("tcbi_infer.diagnose.escape.scaled_freely", lambda *_: None)
     assert rescaled(fitter, fit) is fit
     lost = dataclasses.replace(fit, loss=np.full_like(fit.loss, np.inf))
     assert rescaled(fitter, lost) is lost
+
+
+@pytest.mark.parametrize(("null", "drift", "looked"), [(0.0, 0.05, True), (0.0, 0.02, False), (None, 0.05, False)])
+def test_another_size_is_looked_for_where_it_hangs_on_the_time_step(fitter, monkeypatch, null, drift, looked):
+    """Of the second of three parameters, the first being the base model's."""
+    base, *own = MODEL.parameters
+    model = dataclasses.replace(
+        MODEL, parameters=(base, *(dataclasses.replace(p, low=0.0, null=null, scale="linear") for p in own))
+    )
+    fitter = Fitter(fitter.problem, model, fitter.scatter, fitter.sets, fitter.timestep)
+    fit = dataclasses.replace(fitter.run(MODEL.to_unit(BASE)[None], radii=()), model=model)
+    coarse = dataclasses.replace(fit, unit=fit.unit - drift * np.eye(3)[1])
+    followed = []
+    monkeypatch.setattr(escape, "_followed", lambda fitter, fit, move: followed.append(move.args[1]) or fit)
+    assert resized(fitter, fit, coarse, 1) is fit
+    assert followed == [1] * looked and 0.02 < DRIFTED < 0.05

@@ -85,6 +85,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(search, "refined", fine)
         monkeypatch.setattr(search, "leapt", leapt)
         monkeypatch.setattr(search, "rescaled", rescaled)
+        monkeypatch.setattr(search, "resized", lambda fitter, fine, rough, count: fine)
         screen = SimpleNamespace(
             sizes=np.ones(5, int),
             data=None,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 
 from tcbi_infer.diagnose import paired
-from tcbi_infer.diagnose.escape import leapt, rescaled
+from tcbi_infer.diagnose.escape import leapt, rescaled, resized
 from tcbi_infer.diagnose.fit import Fit, Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_infer.diagnose.scatter import relinearised
@@ -184,7 +184,14 @@ class Search:
         for i, u in enumerate(fine):
             told(f"fitting {self.names[u]} with fine steps", FINE, i / len(fine))
             fits[u] = fitted[u], refined(self.problem, fitted[u], self.sets, self.settings)
+        if fits:
+            u = min(fits, key=lambda u: fits[u][1].total)
+            fits[u] = fits[u][0], self._resized(*fits[u])
         return fits
+
+    def _resized(self, rough: Fit, fine: Fit) -> Fit:
+        fitter = Fitter(self.problem, fine.model, fine.scatter, self.sets, self.settings.timestep)
+        return resized(fitter, fine, rough, len(self.base.unit))
 
     def _promising(self, starts: Mapping[int, np.ndarray], others: Fits) -> list[int]:
         """Uses whose (n, P) starts explain enough of a few sets to be fitted to all; and the best one by screening, of

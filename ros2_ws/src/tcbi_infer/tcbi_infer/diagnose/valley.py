@@ -62,11 +62,29 @@ def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray
     return result
 
 
-def scales_freely(model: Model, unit: np.ndarray, factor: float) -> bool:
-    """Whether `scaled_together` has something to scale, and no bound in its way."""
-    before, after = model.from_unit(np.array([unit, scaled_together(model, unit, factor)]))
-    scaled = np.array([_is_force(p) for p in model.parameters]) & (before > 0)
-    return bool(scaled.any() and np.allclose(after[scaled], factor * before[scaled], rtol=1e-3))
+def scaled_freely(model: Model, unit: np.ndarray, factor: float) -> np.ndarray | None:
+    """The same; None where it has nothing to scale, or a bound is in its way."""
+    scaled = scaled_together(model, unit, factor)
+    before, after = model.from_unit(np.array([unit, scaled]))
+    forces = np.array([_is_force(p) for p in model.parameters]) & (before > 0)
+    return scaled if forces.any() and np.allclose(after[forces], factor * before[forces], rtol=1e-3) else None
+
+
+def resized_freely(model: Model, parameter: int, unit: np.ndarray, factor: float) -> np.ndarray | None:
+    """(P,) unit vector with one parameter's distance from its null value multiplied; None out of its range."""
+    p = model.parameters[parameter]
+    null = 0.0 if p.null is None else p.null
+    value = null + factor * (float(p.from_unit(unit[parameter])) - null)
+    if not p.low <= value <= p.high:
+        return None
+    moved = unit.copy()
+    moved[parameter] = p.to_unit(value)
+    return moved
+
+
+def away_from_null(parameter: Parameter, unit: float) -> bool:
+    """Whether a value in [0, 1] is away from where an effect vanishes; False for a parameter without a null."""
+    return parameter.null is not None and abs(unit - float(parameter.to_unit(parameter.null))) > LEAST
 
 
 def at_level(unit: np.ndarray, parameter: int, level: float) -> np.ndarray:
