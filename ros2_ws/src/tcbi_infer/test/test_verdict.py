@@ -68,6 +68,17 @@ def test_a_candidate_that_fails_one_requirement_is_not_named(fault):
     assert ruled(found, base_error=2.0).verdict == NOTHING_MISSING
 
 
+@pytest.mark.parametrize(("in_turn", "verdict"), [(None, OUTSIDE_LIBRARY), (3.1, OUTSIDE_LIBRARY), (2.9, EFFECT)])
+def test_what_explains_little_is_outside_the_library_only_if_much_is_left_of_the_motions_held_out_in_turn_too(
+    in_turn, verdict
+):
+    found = evidence("viscous_damping", before=5.1, after=3.9, held_out=in_turn and (in_turn + 1.0, in_turn))
+    ruling = ruled(found, base_error=5.1)
+    assert ruling.verdict == verdict
+    assert ("explains only 29 % of the excess" in ruling.statement) == (verdict == OUTSIDE_LIBRARY)
+    assert ("Much is left to explain" in ruling.statement) == (verdict == EFFECT)
+
+
 RATES = {"angular_velocity": (2.4, 1.2), "contact": (1.0, 0.5)}
 
 
