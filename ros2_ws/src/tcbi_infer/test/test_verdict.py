@@ -20,6 +20,7 @@ from tcbi_infer.diagnose.judge import at_bound, estimate
 from tcbi_infer.diagnose.verdict import CONTRADICTED, accept, ranked, rule
 from tcbi_sim.parameter import Parameter
 
+UNSIZED = (ParameterEstimate("gap", "rad", 0.01, 0.0, 0.02, 0.0),)  # may be its null value
 GAINS = (40.0, 45.0, 38.0, 42.0, 41.0, 44.0)
 
 
@@ -56,11 +57,11 @@ def test_the_only_candidate_that_passes_is_named():
 @pytest.mark.parametrize(
     "fault",
     [
-        {"statistic": 2.9},
+        {"statistic": 1.0},
         {"error_after": 1.95},
         {"converged": False},
         {"refined": False},
-        {"parameters": (ParameterEstimate("gap", "rad", 0.01, 0.0, 0.02, 0.0),)},
+        {"parameters": UNSIZED},
     ],
 )
 def test_a_candidate_that_fails_one_requirement_is_not_named(fault):
@@ -98,7 +99,7 @@ def test_an_effect_that_shows_in_the_body_rates_alone_is_named_by_their_error():
         {"elsewhere": {"angular_velocity": (2.4, 2.0)}},
         {"elsewhere": {"angular_velocity": (1.4, 0.7)}},
         {"error_after": 1.2},
-        {"statistic": 2.9},
+        {"statistic": 1.0},
     ],
 )
 def test_signals_beside_joints_and_attitude_name_no_effect_where_little_falls_or_something_rises(fault):
@@ -230,8 +231,21 @@ def test_a_small_error_that_an_uncertain_candidate_would_mostly_explain_is_left_
     by_chance = dataclasses.replace(found, statistic=1.4)
     assert ruled(by_chance, base_error=2.6).verdict == NOTHING_MISSING
     assert ruled(by_chance, base_error=2.6, kinds=4).verdict == CANNOT_TELL  # no rate of false alarms is claimed
-    assert ruled(dataclasses.replace(found, error_after=2.2), base_error=2.6).verdict == NOTHING_MISSING
-    assert ruled(dataclasses.replace(found, error_after=1.1), base_error=1.4).verdict == NOTHING_MISSING
+    unsized = dataclasses.replace(found, parameters=UNSIZED)
+    assert ruled(unsized, base_error=2.6).verdict == CANNOT_TELL
+    assert ruled(dataclasses.replace(unsized, error_after=2.2), base_error=2.6).verdict == NOTHING_MISSING
+    assert ruled(dataclasses.replace(unsized, error_after=1.1), base_error=1.4).verdict == NOTHING_MISSING
+
+
+def test_a_candidate_that_passes_all_but_the_search_is_left_open_however_little_it_explains():
+    found = evidence("payload", statistic=2.5, after=2.2, before=2.6)
+    ruling = ruled(found, base_error=2.6)
+    assert (ruling.verdict, ruling.uses) == (CANNOT_TELL, ("payload",))
+    assert "payload explains 25 % of the excess, but is not certain" in ruling.statement
+    calm = ruled(dataclasses.replace(found, error_before=1.2, error_after=1.1), base_error=1.2)
+    assert calm.verdict == CANNOT_TELL and "payload is not certain" in calm.statement
+    for fault in ({"statistic": 1.0}, {"parameters": UNSIZED}, {"converged": False}, {"error_after": 2.55}):
+        assert ruled(dataclasses.replace(found, **fault), base_error=2.6).verdict == NOTHING_MISSING
 
 
 def test_one_kind_of_motion_tells_nothing():

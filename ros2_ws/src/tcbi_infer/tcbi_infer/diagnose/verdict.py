@@ -292,12 +292,14 @@ def _none_accepted(
         )
     badly = misfit.total > WELL_PREDICTED and _in_most(misfit.by_kind or {"": misfit.total}, WELL_PREDICTED)
     tilted = _in_most(misfit.attitude, ATTITUDE_PREDICTED)
-    if best and _hinted(best, misfit, kinds, unseen, badly or tilted or not np.isfinite(misfit.total)):
+    lost = badly or tilted or not np.isfinite(misfit.total)
+    if best and (_all_but_sure(best, kinds, unseen) or _hinted(best, misfit, kinds, unseen, lost)):
+        much = misfit.total > NOTICEABLE
+        explains = f" explains {100 * _explained(best, unseen):.0f} % of the excess, but" if much else ""
         return Ruling(
             CANNOT_TELL,
             (best.use,),
-            f"Something may be missing: {error}. {best.use} explains {100 * _explained(best, unseen):.0f} % "
-            f"of the excess, but is not certain: {best.reason}.",
+            f"Something may be missing: {error}. {best.use}{explains} is not certain: {best.reason}.",
         )
     # where nothing was tried, nothing is known of the library
     beyond = CANNOT_TELL if tried == 0 else OUTSIDE_LIBRARY
@@ -321,6 +323,11 @@ def _none_accepted(
         (),
         f"These rollouts show nothing missing: {error}.{hint}{few}",
     )
+
+
+def _all_but_sure(best: Evidence, kinds: int, unseen: float) -> bool:
+    """Whether a candidate passes every requirement but that it stands out from what a search finds by chance."""
+    return accept(best, HINTED * paired.limit(kinds), unseen)[0]
 
 
 def _hinted(best: Evidence, misfit: Misfit, kinds: int, unseen: float, badly: bool) -> bool:
