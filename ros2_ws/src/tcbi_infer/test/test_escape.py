@@ -9,7 +9,7 @@ from bench_recordings import BASE, record
 from tcbi_infer.compare.noise import noise_floor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.diagnose import escape
-from tcbi_infer.diagnose.escape import DRIFTED, FACTOR, rescaled, resized
+from tcbi_infer.diagnose.escape import DRIFTED, FACTOR, SHIFT, rescaled, resized
 from tcbi_infer.diagnose.fit import Fitter, Nuisance
 from tcbi_infer.diagnose.problem import Problem
 from tcbi_sim.model import base_model
@@ -58,17 +58,21 @@ def test_where_the_forces_are_at_their_bounds_or_the_fit_diverged_it_stays(fitte
     assert rescaled(fitter, lost) is lost
 
 
-@pytest.mark.parametrize(("null", "drift", "looked"), [(0.0, 0.05, True), (0.0, 0.02, False), (None, 0.05, False)])
-def test_another_size_is_looked_for_where_it_hangs_on_the_time_step(fitter, monkeypatch, null, drift, looked):
+@pytest.mark.parametrize(
+    ("unit", "null", "drift", "looked"),
+    [("N m", 0.0, 0.05, True), ("N m", 0.0, 0.02, False), ("N m", None, 0.05, False), ("kg", 0.0, 0.0, True)],
+)
+def test_another_size_is_looked_for_where_it_hangs_on_the_time_step_or_is_a_mass(
+    fitter, monkeypatch, unit, null, drift, looked
+):
     """Of the second of three parameters, the first being the base model's."""
-    base, *own = MODEL.parameters
-    model = dataclasses.replace(
-        MODEL, parameters=(base, *(dataclasses.replace(p, low=0.0, null=null, scale="linear") for p in own))
-    )
+    base, second, third = MODEL.parameters
+    second = dataclasses.replace(second, low=0.0, null=null, scale="linear", unit=unit)
+    model = dataclasses.replace(MODEL, parameters=(base, second, third))
     fitter = Fitter(fitter.problem, model, fitter.scatter, fitter.sets, fitter.timestep)
     fit = dataclasses.replace(fitter.run(MODEL.to_unit(BASE)[None], radii=()), model=model)
     coarse = dataclasses.replace(fit, unit=fit.unit - drift * np.eye(3)[1])
     followed = []
-    monkeypatch.setattr(escape, "_followed", lambda fitter, fit, move: followed.append(move.args[1]) or fit)
+    monkeypatch.setattr(escape, "_followed", lambda fitter, fit, ways: followed.append([w.args for w in ways]) or fit)
     assert resized(fitter, fit, coarse, 1) is fit
-    assert followed == [1] * looked and 0.02 < DRIFTED < 0.05
+    assert followed == [[(1, SHIFT), (1, -SHIFT)]] * looked and 0.02 < DRIFTED < 0.05

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tcbi_infer.diagnose.valley import away_from_null, points_along, resized_freely, scaled_freely, weakest
+from tcbi_infer.diagnose.valley import is_mass, points_along, scaled_freely, shifted_freely, weakest
 from tcbi_sim.model import Model
 from tcbi_sim.parameter import Parameter
 
@@ -32,23 +32,19 @@ def test_points_stay_within_the_ranges_and_are_apart_from_the_place(place, direc
 
 def test_forces_scale_together_until_one_is_at_its_bound():
     place = MODEL.to_unit(np.array([[0.5, 1.2]]))[0]
-    scaled = scaled_freely(MODEL, place, 2.0)
-    assert scaled is not None and scaled_freely(MODEL, place, 2.5) is None
+    scaled = scaled_freely(MODEL, 2.0, place)
+    assert scaled is not None and scaled_freely(MODEL, 2.5, place) is None
     np.testing.assert_allclose(MODEL.from_unit(scaled), [1.0, 2.4])
     angle = dataclasses.replace(MASS, name="angle", unit="rad")
     rigid = Model("one-v0", "hexapod", (), (angle,), np.array([[0.8]]), np.zeros(1))
-    assert scaled_freely(rigid, np.array([0.5]), 1.2) is None, "nothing to scale"
+    assert scaled_freely(rigid, 1.2, np.array([0.5])) is None, "nothing to scale"
 
 
-def test_a_size_is_multiplied_as_seen_from_its_null_value_until_its_range_ends():
-    scale = Parameter("scale", "1", 0.2, 1.5, 0.6, null=1.0, scale="log")
-    model = Model("leg-v0", "hexapod", (), (MASS, scale), np.array([[0.8, 0.6]]), np.zeros(1))
-    place = model.to_unit(np.array([[0.8, 0.6]]))[0]
-    moved = resized_freely(model, 1, place, 1.5)
-    assert moved is not None and resized_freely(model, 1, place, 2.5) is None
-    np.testing.assert_allclose(model.from_unit(moved), [0.8, 0.4])
-    assert away_from_null(scale, place[1]) and not away_from_null(scale, float(scale.to_unit(1.0)))
-    assert not away_from_null(MASS, 0.5), "no null value"
+def test_one_parameter_is_shifted_until_its_range_ends():
+    place = np.array([0.3, 0.6])
+    np.testing.assert_allclose(shifted_freely(1, 0.3, place), [0.3, 0.9])
+    assert shifted_freely(1, 0.5, place) is None and shifted_freely(0, -0.4, place) is None
+    assert is_mass(MASS) and not is_mass(GAIN)
 
 
 def test_the_weakest_direction_is_that_which_nothing_tells_once_the_nuisances_may_follow():

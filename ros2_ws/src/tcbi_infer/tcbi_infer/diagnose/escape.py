@@ -1,26 +1,27 @@
 """Other valleys of the loss, where a fit may have ended in the wrong one."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from tcbi_infer.diagnose.fit import RACE, RACERS, Fit, Fitter, Trial
 from tcbi_infer.diagnose.least_squares import bounded_step
 from tcbi_infer.diagnose.slopes import Slopes
-from tcbi_infer.diagnose.valley import at_level, away_from_null, resized_freely, scaled_freely
+from tcbi_infer.diagnose.valley import at_level, is_mass, scaled_freely, shifted_freely
 
 LEAPS = (-0.4, -0.2, 0.2, 0.4)  # of a range
 WORTH = 0.05  # of the loss: a far point that is lower by less is not followed
-FACTOR = 1.22  # from one point of a valley to the next
-FACTORS = 6  # at most, each way
+FACTOR = 1.22  # of all forces, from one point of their valley to the next
+SHIFT = 0.08  # of a range: the same of a size
+POINTS = 6  # at most, each way
 CROSSINGS = 2  # steps across, at each point
 CLOSE = 0.05  # of a range: the radius of slopes there
 STEEP = 1.3  # times the least loss: where the floor rises so far nothing is looked for beyond
 DRIFTED = 0.03  # of a range, from coarse to fine steps: a size that moves less does not hang on the time step
 LEVEL = 1.03  # times the loss here: no higher end on few sets is followed on all
 
-Move = Callable[[np.ndarray, float], np.ndarray | None]  # (P,) place, factor -> the place multiplied, if within bounds
+Move = Callable[[np.ndarray], np.ndarray | None]  # (P,) place -> the next one, if within bounds
 
 
 def leapt(fitter: Fitter, fit: Fit, count: int) -> Fit:
@@ -48,42 +49,43 @@ def rescaled(fitter: Fitter, fit: Fit) -> Fit:
     A stiffer and heavier robot moves nearly as a lighter one does, so the loss has a long valley there, with steep
     walls: where an effect is new to a fit, its steps go down the nearest wall and not along.
     """
-    return _followed(fitter, fit, functools.partial(scaled_freely, fitter.model))
+    factors = (FACTOR, 1.0 / FACTOR)
+    return _followed(fitter, fit, [functools.partial(scaled_freely, fitter.model, factor) for factor in factors])
 
 
 def resized(fitter: Fitter, fit: Fit, coarse: Fit, count: int) -> Fit:
     """The fit, or a better one with another size of its effect, whose parameters stand after the first `count`.
 
-    Only where the size depends on the time step, as that of a payload beside the trunk's own mass does: a direction so
-    soft that the fit with fine steps stays near where the coarse one began it.
+    Only where the direction is so soft that a fit with fine steps stays near where the coarse one began it: of a size
+    that hangs on the time step, and of a mass, for motion tells little more than its sum with the model's own.
     """
-    parameters = fitter.model.parameters
-    sizes = [p for p in range(count, len(fit.unit)) if abs(fit.unit[p] - coarse.unit[p]) > DRIFTED]
-    sizes = [p for p in sizes if away_from_null(parameters[p], fit.unit[p])]
-    if not sizes:
+    parameters, drift = fitter.model.parameters, np.abs(fit.unit - coarse.unit)
+    sizes = [p for p in range(count, len(fit.unit)) if parameters[p].null is not None]
+    soft = [p for p in sizes if drift[p] > DRIFTED or is_mass(parameters[p])]
+    if not soft:
         return fit
-    most = max(sizes, key=lambda p: abs(fit.unit[p] - coarse.unit[p]))
-    return _followed(fitter, fit, functools.partial(resized_freely, fitter.model, most))
+    most = max(soft, key=lambda p: drift[p])
+    return _followed(fitter, fit, [functools.partial(shifted_freely, most, shift) for shift in (SHIFT, -SHIFT)])
 
 
-def _followed(fitter: Fitter, fit: Fit, multiplied: Move) -> Fit:
+def _followed(fitter: Fitter, fit: Fit, ways: Sequence[Move]) -> Fit:
     """The fit, or a better one along a valley: few sets are followed along its floor, the other parameters settled at
-    each factor, begun from the factor before."""
+    each point, begun from the point before."""
     if not fit.total < np.inf:
         return fit
     few = fitter.on_few_sets(fitter.timestep)
     here = few.trials(fit.unit[None], fit.nuisance, fit.scale)[0]
-    ends = [end for factor in (FACTOR, 1.0 / FACTOR) for end in _along(few, here, fit.scale, multiplied, factor)]
+    ends = [end for way in ways for end in _along(few, here, fit.scale, way)]
     likely = sorted((e for e in ends if e.total < LEVEL * here.total), key=lambda e: e.total)[:RACERS]
     others = [fitter.run(end.unit[None], fit.nuisance, RACE, valleys=False) for end in likely]
     return min([fit, *others], key=lambda f: f.total)
 
 
-def _along(few: Fitter, here: Trial, scale: np.ndarray, multiplied: Move, factor: float) -> list[Trial]:
-    """Places on the valley's floor, one factor after the other."""
+def _along(few: Fitter, here: Trial, scale: np.ndarray, way: Move) -> list[Trial]:
+    """Places on the valley's floor, one after the other."""
     slopes, found, least = Slopes(few.predict_for_slopes), [], here.total
-    for _ in range(FACTORS):
-        unit = multiplied(here.unit, factor)
+    for _ in range(POINTS):
+        unit = way(here.unit)
         if unit is None:
             break
         here = _across(few, here, unit, scale, slopes)
@@ -95,7 +97,7 @@ def _along(few: Fitter, here: Trial, scale: np.ndarray, multiplied: Move, factor
 
 
 def _across(few: Fitter, here: Trial, unit: np.ndarray, scale: np.ndarray, slopes: Slopes) -> Trial:
-    """The best place across the valley from a scaled one, which the steps do not undo."""
+    """The best place across the valley from one further along it, which the steps do not undo."""
     count, away = len(unit), (unit - here.unit) / np.linalg.norm(unit - here.unit)
     best = few.trials(unit[None], here.nuisance, scale)[0]
     for _ in range(CROSSINGS):

@@ -62,7 +62,7 @@ def scaled_together(model: Model, unit: np.ndarray, factor: float) -> np.ndarray
     return result
 
 
-def scaled_freely(model: Model, unit: np.ndarray, factor: float) -> np.ndarray | None:
+def scaled_freely(model: Model, factor: float, unit: np.ndarray) -> np.ndarray | None:
     """The same; None where it has nothing to scale, or a bound is in its way."""
     scaled = scaled_together(model, unit, factor)
     before, after = model.from_unit(np.array([unit, scaled]))
@@ -70,21 +70,16 @@ def scaled_freely(model: Model, unit: np.ndarray, factor: float) -> np.ndarray |
     return scaled if forces.any() and np.allclose(after[forces], factor * before[forces], rtol=1e-3) else None
 
 
-def resized_freely(model: Model, parameter: int, unit: np.ndarray, factor: float) -> np.ndarray | None:
-    """(P,) unit vector with one parameter's distance from its null value multiplied; None out of its range."""
-    p = model.parameters[parameter]
-    null = 0.0 if p.null is None else p.null
-    value = null + factor * (float(p.from_unit(unit[parameter])) - null)
-    if not p.low <= value <= p.high:
-        return None
+def shifted_freely(parameter: int, shift: float, unit: np.ndarray) -> np.ndarray | None:
+    """(P,) unit vector with one parameter shifted; None out of its range."""
     moved = unit.copy()
-    moved[parameter] = p.to_unit(value)
-    return moved
+    moved[parameter] += shift
+    return moved if 0.0 <= moved[parameter] <= 1.0 else None
 
 
-def away_from_null(parameter: Parameter, unit: float) -> bool:
-    """Whether a value in [0, 1] is away from where an effect vanishes; False for a parameter without a null."""
-    return parameter.null is not None and abs(unit - float(parameter.to_unit(parameter.null))) > LEAST
+def is_mass(parameter: Parameter) -> bool:
+    """Whether it is one."""
+    return parameter.unit == "kg"
 
 
 def at_level(unit: np.ndarray, parameter: int, level: float) -> np.ndarray:
