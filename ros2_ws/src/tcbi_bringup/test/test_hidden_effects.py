@@ -102,6 +102,19 @@ def test_teeth_only_push_and_only_beyond_the_gap() -> None:
     assert gear.position[0] == pytest.approx(0.02 + 0.1 / gear.STIFFNESS, rel=0.02)
 
 
+def test_what_rubs_in_a_servo_rubs_on_its_own_side_of_a_loose_horn(monkeypatch: pytest.MonkeyPatch) -> None:
+    rubbed: list[np.ndarray] = []
+
+    def resist(self: SlippingTeeth, velocity: np.ndarray, dt: float) -> np.ndarray:
+        rubbed.append(velocity * dt)
+        return np.zeros(18)
+
+    monkeypatch.setattr(SlippingTeeth, "resist", resist)
+    body = standing("backlash+coulomb_friction", settle=0.5)
+    turned = np.sum(rubbed, axis=0)[1::3]
+    assert np.abs(turned - body.shaft[1::3]).max() < 2e-3 < 0.01 < np.abs(turned - body._angles[1::3]).min()
+
+
 def test_a_weak_leg_sags_while_the_others_hardly_do() -> None:
     leg = LEGS.index(str(truth("weak_leg")["leg"]))
     sag = np.abs(standing("weak_leg")._angles - standing("none")._angles).reshape(6, 3).max(axis=1)

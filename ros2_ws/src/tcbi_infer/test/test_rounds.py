@@ -143,6 +143,9 @@ def nothing(verdict: str = "nothing_missing") -> Said:
 
 UNSURE = Said("cannot_tell", ("a", "b"), (evidence("a", 3.0), evidence("b", 3.1)), {"base": 5.0})
 PARTLY = Said("outside_library", (), (evidence("a", 7.0), evidence("b", 8.0, accepted=False)), {"base": 9.0})
+DOUBTED = Said(
+    "cannot_tell", ("a",), (evidence("a", 7.0, accepted=False), evidence("b", 8.0, accepted=False)), {"base": 9.0}
+)
 
 
 @pytest.mark.parametrize(
@@ -174,6 +177,7 @@ def test_two_that_change_the_signals_alike_are_not_tried_beside_each_other(facts
     assert only.added is None
 
 
+@pytest.mark.parametrize("begun", [PARTLY, DOUBTED])
 @pytest.mark.parametrize(
     ("beside_a", "left", "a_beside_b", "added"),
     [
@@ -183,8 +187,17 @@ def test_two_that_change_the_signals_alike_are_not_tried_beside_each_other(facts
         (named("b"), nothing(), nothing(), ()),
     ],
 )
-def test_two_that_only_together_explain_what_is_missing_are_added_and_no_less(facts, beside_a, left, a_beside_b, added):
-    facts({((), ""): PARTLY, (("a",), ""): beside_a, (("a", "b"), ""): left, (("b",), "a"): a_beside_b})
+def test_two_that_only_together_explain_what_is_missing_are_added_and_no_less(
+    facts, begun, beside_a, left, a_beside_b, added
+):
+    facts({((), ""): begun, (("a",), ""): beside_a, (("a", "b"), ""): left, (("b",), "a"): a_beside_b})
     found = list(rounds(Model(version="m-v0", effects=()), [], uses=CANDIDATES))
     assert tuple(r.use for r in found if r.use) == added
     assert not added or found[0].resolved.startswith("Neither explains it alone")
+
+
+def test_beside_what_is_not_certain_nothing_is_tried_where_little_is_left(facts):
+    little = dataclasses.replace(DOUBTED, ranking=(evidence("a", 2.0, accepted=False),))
+    facts({((), ""): little})
+    (only,) = rounds(Model(version="m-v0", effects=()), [], uses=CANDIDATES)
+    assert only.added is None and only.ending == "no effect is named"

@@ -58,7 +58,8 @@ class HiddenEffect:
         return torque
 
     def resist(self, velocity: np.ndarray, dt: float) -> np.ndarray | None:
-        """(J,) N m on the joints at `velocity` (J,) rad/s, besides the motors' torque."""
+        """(J,) N m of a servo's own gears at `velocity` (J,) rad/s, besides the motors' torque; a horn with play, or a
+        link that bends, comes behind these."""
         return None
 
     def act(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:

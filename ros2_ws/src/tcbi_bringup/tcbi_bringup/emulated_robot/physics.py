@@ -280,13 +280,14 @@ class Physics:
         np.rint(encoder, out=encoder)
         np.multiply(encoder, STEP, out=encoder)
         torque = self.servos.torque(self.time + LOOP_PERIOD_S / 2, encoder)
+        speeds = self._speeds if gear is None else gear.velocity
         if self._drives:
-            torque = effect.drive(torque, self._speeds if gear is None else gear.velocity) * self.servos.on
+            torque = effect.drive(torque, speeds) * self.servos.on
         self._torque = torque
+        if self._resists:
+            torque = torque + effect.resist(speeds, LOOP_PERIOD_S)
         if gear is not None:
             torque = gear.push(torque, self._angles, self._speeds, LOOP_PERIOD_S)
-        if self._resists:
-            torque = torque + effect.resist(self._speeds, LOOP_PERIOD_S)
         self._force[:] = torque
         if self._acts:
             self.data.xfrc_applied[:] = 0.0

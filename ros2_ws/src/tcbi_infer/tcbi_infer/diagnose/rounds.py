@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from tcbi_contract.wording import counted
 from tcbi_infer.diagnose.adopt import adopt, objection
 from tcbi_infer.diagnose.diagnosis import diagnose
-from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, OUTSIDE_LIBRARY, Diagnosis
+from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, OUTSIDE_LIBRARY, WELL_PREDICTED, Diagnosis
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 
@@ -142,14 +142,14 @@ class _Search:
             a, b = accepted[0].use, accepted[1].use
             why_not = f"no effect is named: {a} and {b} were tried beside each other, and neither is needed there"
             return self._two(model, found, a, b), why_not
-        if found.verdict == OUTSIDE_LIBRARY and accepted:
-            a = accepted[0].use
-            why_not = (
-                f"no effect is named: {a} explains a part, and no second effect beside it was found that explains the "
-                f"rest (./tcbi add {a} takes it alone)"
-            )
-            return self._second(model, found, a), why_not
-        return [], NO_EFFECT
+        a = accepted[0].use if found.verdict == OUTSIDE_LIBRARY and accepted else _leader_in_doubt(found)
+        if not a:
+            return [], NO_EFFECT
+        why_not = (
+            f"no effect is named: {a} explains a part, and no second effect beside it was found that explains the "
+            f"rest (./tcbi add {a} takes it alone)"
+        )
+        return self._second(model, found, a), why_not
 
     def _two(self, model: Model, found: Diagnosis, a: str, b: str) -> list[_Step]:
         """Of two that were not told apart: both, or the one that the other does not replace."""
@@ -183,6 +183,13 @@ class _Search:
         """A diagnosis that names this one effect; None where it does not."""
         found = self.diagnose(model, [use])
         return found if found.verdict == EFFECT else None
+
+
+def _leader_in_doubt(found: Diagnosis) -> str:
+    """The candidate that may be missing but passes no test of its own, where much is left beside it; else ""."""
+    leader = found.ranking[0] if found.ranking else None
+    doubted = leader and not leader.accepted and found.verdict == CANNOT_TELL and leader.use in found.uses
+    return leader.use if leader and doubted and leader.refined and leader.error_after > WELL_PREDICTED else ""
 
 
 def _fitted(found: Diagnosis, use: str) -> bool:
