@@ -80,6 +80,18 @@ def test_what_explains_little_is_outside_the_library_only_if_much_is_left_of_the
     assert ("Much is left to explain" in ruling.statement) == (verdict == EFFECT)
 
 
+def test_where_one_accepted_candidate_explains_a_third_nothing_is_outside_the_library():
+    plain = evidence("coulomb_friction", before=5.2, after=4.0, alike=("stribeck_friction",))
+    fewer = [g - d for g, d in zip(GAINS, (2, -3, 9, -2, 3, 4), strict=True)]
+    richer = evidence("stribeck_friction", fewer, 3.3, 5.2, count=3, alike=("coulomb_friction",))
+    assert ruled(plain, base_error=5.2).verdict == OUTSIDE_LIBRARY
+    both = ruled(plain, richer, base_error=5.2)
+    assert (both.verdict, both.uses) == (CANNOT_TELL, ("coulomb_friction", "stribeck_friction"))
+    neither = ruled(plain, dataclasses.replace(richer, error_after=3.9), base_error=5.2)
+    assert neither.verdict == OUTSIDE_LIBRARY
+    assert "the best candidate (stribeck_friction) explains only 31 % of the excess" in neither.statement
+
+
 RATES = {"angular_velocity": (2.4, 1.2), "contact": (1.0, 0.5)}
 
 

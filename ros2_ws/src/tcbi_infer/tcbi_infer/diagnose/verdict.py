@@ -100,12 +100,13 @@ def rivals(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
 def indistinct(best: Evidence, others: Sequence[Evidence]) -> list[Evidence]:
     """Accepted candidates that must be named with the best one.
 
-    Those that the gains cannot tell from it, except a richer law of the same look; and those no richer that change the
-    signals alike, or leave as little error, whatever the gains say: between these a discrepancy of the simulation
-    decides, not the robot. What a gain must be worth to name an effect, it must be to tell it from another.
+    Those that the gains cannot tell from it, except a richer law of the same look that leaves as much error; and those
+    no richer that change the signals alike, or leave as little error, whatever the gains say: between these a
+    discrepancy of the simulation decides, not the robot. What a gain must be worth to name an effect, it must be to
+    tell it from another.
     """
     unclear = {r.use for r in rivals(best, others)}
-    return [o for o in others if not _richer_twin(best, o) and (o.use in unclear or _as_good(best, o))]
+    return [o for o in others if not _no_better(best, o) and (o.use in unclear or _as_good(best, o))]
 
 
 def _as_good(best: Evidence, other: Evidence) -> bool:
@@ -125,6 +126,11 @@ def better(best: Evidence, ranking: Sequence[Evidence]) -> list[Evidence]:
         and e.elpd_gain > best.elpd_gain
         and e.error_after < best.error_after
     ]
+
+
+def _no_better(best: Evidence, other: Evidence) -> bool:
+    """Whether `other` is a richer law of the same look that leaves as much error."""
+    return _richer_twin(best, other) and not _lowered(best.error_after, other.error_after)
 
 
 def _richer_twin(best: Evidence, other: Evidence) -> bool:
@@ -219,14 +225,14 @@ def _ruled(
     if not accepted:
         return _none_accepted(ranking, base, kinds, unfitted, unseen, tried)
     best = accepted[0]
-    left, explained = best.error_after, _explained(best)
-    if _leaves_much(best) and explained < EXPLAINED:
+    left, most = best.error_after, max(accepted, key=_explained)
+    if all(_leaves_much(e) for e in accepted) and _explained(most) < EXPLAINED:
         return Ruling(
             OUTSIDE_LIBRARY,
             (),
             f"{HEADLINES[OUTSIDE_LIBRARY] if tried is None else UNEXPLAINED}: the base model errs by "
-            f"{best.error_before:.1f} times the noise floor, and the best candidate ({best.use}) explains only "
-            f"{100 * max(explained, 0):.0f} % of the excess.",
+            f"{best.error_before:.1f} times the noise floor, and the best candidate ({most.use}) explains only "
+            f"{100 * max(_explained(most), 0):.0f} % of the excess.",
         )
     equal = indistinct(best, accepted[1:]) + better(best, ranking)
     caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
