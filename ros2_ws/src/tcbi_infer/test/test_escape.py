@@ -76,3 +76,15 @@ def test_another_size_is_looked_for_where_it_hangs_on_the_time_step_or_is_a_mass
     monkeypatch.setattr(escape, "_followed", lambda fitter, fit, ways: followed.append([w.args for w in ways]) or fit)
     assert resized(fitter, fit, coarse, 1) is fit
     assert followed == [[(1, SHIFT), (1, -SHIFT)]] * looked and 0.02 < DRIFTED < 0.05
+
+
+def test_a_mass_is_followed_though_its_moment_moved_farther(fitter, monkeypatch):
+    base, *own = MODEL.parameters
+    mass, moment = (dataclasses.replace(p, low=0.0, null=0.0, scale="linear") for p in own)
+    model = dataclasses.replace(MODEL, parameters=(base, dataclasses.replace(mass, unit="kg"), moment))
+    fitter = Fitter(fitter.problem, model, fitter.scatter, fitter.sets, fitter.timestep)
+    fit = dataclasses.replace(fitter.run(MODEL.to_unit(BASE)[None], radii=()), model=model)
+    followed = []
+    monkeypatch.setattr(escape, "_followed", lambda fitter, fit, ways: followed.append(ways[0].args[0]) or fit)
+    resized(fitter, fit, dataclasses.replace(fit, unit=fit.unit - 0.05 * np.eye(3)[2]), 1)
+    assert followed == [1]

@@ -64,7 +64,7 @@ def resized(fitter: Fitter, fit: Fit, coarse: Fit, count: int) -> Fit:
     soft = [p for p in sizes if drift[p] > DRIFTED or is_mass(parameters[p])]
     if not soft:
         return fit
-    most = max(soft, key=lambda p: drift[p])
+    most = max(soft, key=lambda p: (is_mass(parameters[p]), drift[p]))  # a moment may move farther than its mass
     return _followed(fitter, fit, [functools.partial(shifted_freely, most, shift) for shift in (SHIFT, -SHIFT)])
 
 
