@@ -9,6 +9,7 @@ from scipy.stats import binom, kstest
 from tcbi_infer.divergence import Binning
 from tcbi_infer.tcbi import calibrated
 from tcbi_infer.tcbi.features import Features, Observed, divergences
+from tcbi_infer.tcbi.in_time import no_differences
 from tcbi_infer.tcbi.pooled import pooled_divergence
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 from tcbi_policy.artefact import find_policy
@@ -53,10 +54,15 @@ def normal_problem(
 
     def run(unit: np.ndarray) -> Features:
         counts = counted(draw(unit[:, 0], within if simulated_within is None else simulated_within))
-        everyone = np.ones(len(unit), bool)
-        return Features(counts, divergences(observed, counts), np.full(len(unit), np.nan), everyone)
+        return seen(counts, divergences(observed, counts))
 
     return observed, run, float(np.sqrt((between**2 + within**2 / samples) / rollouts))
+
+
+def seen(counts: np.ndarray, divergence: np.ndarray) -> Features:
+    """Features of M simulations that all ended well, of which nothing is compared in time."""
+    m = len(counts)
+    return Features(counts, divergence, np.full(m, np.nan), np.ones(m, bool), no_differences(m))
 
 
 def judged(

@@ -13,8 +13,9 @@ from tcbi_infer.errors import InferError, MissingExtraError
 from tcbi_infer.tcbi import paper
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.features import Features, Observed
+from tcbi_infer.tcbi.in_time import no_differences
 from tcbi_infer.tcbi.method import METHODS, find_method
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import Problem, Simulated
 from tcbi_infer.tcbi.proposal import to_probit
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 
@@ -53,9 +54,9 @@ def test_equation_8_is_the_literal_sum_over_time() -> None:
     seen = problem.simulate(unit, view=trajectories)
     keep: list = []
 
-    def raw(problem, rollouts, valid):
-        keep.append(rollouts)
-        return trajectories(problem, rollouts, valid)
+    def raw(problem, simulated):
+        keep.append(simulated.readings)
+        return trajectories(problem, simulated)
 
     problem.simulate(unit, view=raw)
     scale = np.array([3.0])
@@ -82,7 +83,9 @@ def test_rollouts_with_missing_samples_leave_the_summary_of_the_others() -> None
     )
     assert observe(problem).summary == pytest.approx(observe(rest).summary)
     measured = [group.arrays for group in Problem.of(model, whole, timestep=0.01).groups]
-    assert trajectories(problem, measured, np.ones(1, bool)).summary == pytest.approx(observe(problem).summary)
+    assert trajectories(problem, Simulated(measured, measured, np.ones(1, bool))).summary == pytest.approx(
+        observe(problem).summary
+    )
 
 
 def test_rejection_keeps_the_nearest_draws_of_the_prior() -> None:
@@ -224,7 +227,13 @@ def test_all_simulations_diverged_is_an_error(module) -> None:
     one = Observed(np.zeros((1, 1, 1)), np.zeros(1, int), ("x",), ("x/x",))
 
     def simulate(unit: np.ndarray) -> Features:
-        return Features(np.zeros(0), np.full((len(unit), 1), 0.5), np.zeros(len(unit)), np.zeros(len(unit), bool))
+        return Features(
+            np.zeros(0),
+            np.full((len(unit), 1), 0.5),
+            np.zeros(len(unit)),
+            np.zeros(len(unit), bool),
+            no_differences(len(unit)),
+        )
 
     with pytest.raises(InferError, match="all 20 simulations diverged"):
         if module is paper:

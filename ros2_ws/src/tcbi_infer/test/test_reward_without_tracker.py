@@ -7,7 +7,8 @@ import pytest
 
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import library, reward
-from tcbi_infer.tcbi.problem import LEAST_SAMPLES, Problem
+from tcbi_infer.tcbi.channels import LEAST_SAMPLES
+from tcbi_infer.tcbi.problem import Problem
 from tcbi_policy.gaits import Gait
 from tcbi_policy.reward import Term, episode_reward, terms_of
 from tcbi_sim.engine import simulate
@@ -37,8 +38,9 @@ def test_the_reward_statistic_of_walking_needs_no_tracker(tracked: list[Measurem
     problem = Problem.of(MODEL, untracked(tracked), **REWARD)
     returns = [episode_reward(m).total / len(m.commands.time) for m in tracked]
     assert np.sort(problem.real_samples[0]) == pytest.approx(np.sort(returns))
-    (rollouts,), valid = problem.rollouts(MODEL.to_unit(MODEL.mean()[None]))
-    assert valid.all() and rollouts.position is None
+    simulated = problem.rollouts(MODEL.to_unit(MODEL.mean()[None]))
+    (rollouts,) = simulated.readings
+    assert simulated.valid.all() and rollouts.position is None
     again = library()["reward"].compute(rollouts)[0, :, 0, 0]
     assert again == pytest.approx(returns, abs=1.0)  # less the sensors' noise
 
@@ -48,7 +50,7 @@ def test_one_distance_forgotten_costs_that_rollout_alone_and_all_forgotten_are_n
 ) -> None:
     problem = Problem.of(MODEL, untracked(tracked, np.nan, *[0.1] * LEAST_SAMPLES), **REWARD)
     assert len(problem.real_samples[0]) == LEAST_SAMPLES
-    (rollouts,), _ = problem.rollouts(MODEL.to_unit(MODEL.mean()[None]))
+    (rollouts,) = problem.rollouts(MODEL.to_unit(MODEL.mean()[None])).readings
     assert np.isfinite(library()["reward"].compute(rollouts)).sum() == LEAST_SAMPLES
     with pytest.raises(InferError, match="neither a position nor a distance at the end"):
         Problem.of(MODEL, untracked(tracked, *[np.nan] * len(tracked)), **REWARD)

@@ -94,7 +94,7 @@ def test_without_a_tracker_the_distance_at_the_end_gives_one_reward_a_rollout() 
 
 def test_a_missing_signal_is_named_and_the_rest_is_used() -> None:
     kept, left_out = select(CALIBRATED, arrays(attitude=None, contact=None))
-    assert {s.name for s in kept} == {"joint_tracking", "early_response", "body_rates"}
+    assert {s.name for s in kept} == {"joint_tracking", "early_response", "body_rates", "joint_motion"}
     assert "no attitude" in " ".join(left_out) and "no contact" in " ".join(left_out)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tcbi_cases import seen
 
 from tcbi_infer.divergence import Binning
 from tcbi_infer.tcbi.calibration import floors
@@ -20,7 +21,7 @@ def misfit_over_noise(rollouts: int, present: int, seed: int, channels: int = 6)
     counts = binned(samples, binnings, blocks)
     names = tuple(f"x/{c}" for c in range(channels))
     observed = Observed(counts[0], np.zeros(channels, int), ("x",), names)
-    found = floors(observed, counts[1:], divergences(observed, counts[1:]), np.ones(40, bool))
+    found = floors(observed, seen(counts[1:], divergences(observed, counts[1:])))
     return float(found.misfit.mean() / found.noise.mean())
 
 

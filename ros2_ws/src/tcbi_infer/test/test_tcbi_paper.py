@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tcbi_cases import seen
 
 from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi import paper
@@ -14,7 +15,7 @@ CENTER, STEEPNESS = 0.6, 20.0
 def quadratic(unit: np.ndarray) -> Features:
     """A divergence that is known exactly: exp(-alpha D) is then a normal of variance 1 / (2 alpha STEEPNESS)."""
     divergence = STEEPNESS * (unit[:, :1] - CENTER) ** 2
-    return Features(np.zeros((len(unit), 1, 1, 1)), divergence, np.full(len(unit), np.nan), np.ones(len(unit), bool))
+    return seen(np.zeros((len(unit), 1, 1, 1)), divergence)
 
 
 ONE = Observed(np.zeros((1, 1, 1)), np.zeros(1, int), ("x",), ("x/x",))

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tcbi_cases import assert_ranks_of_truths, judged, normal_problem
+from tcbi_cases import assert_ranks_of_truths, judged, normal_problem, seen
 
 from tcbi_infer.divergence import Binning, divergence
 from tcbi_infer.errors import InferError
@@ -97,7 +97,7 @@ def test_a_right_model_is_not_called_wrong(name: str) -> None:
     counts = binned(samples, binnings, 1)
     names = tuple(f"x/{c}" for c in range(3))
     observed = Observed(counts[0], np.zeros(3, int), ("x",), names, pooled_divergence(name, binnings, counts[0]))
-    found = floors(observed, counts[1:], divergences(observed, counts[1:]), np.ones(40, bool))
+    found = floors(observed, seen(counts[1:], divergences(observed, counts[1:])))
     assert found.misfit.mean() < 1.5 * found.noise.mean()
 
 

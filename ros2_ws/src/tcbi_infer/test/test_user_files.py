@@ -74,14 +74,14 @@ def test_a_file_that_cannot_be_used_is_left_out_with_a_line(folders, caplog, kin
     (folders / kind / f"{name}.py").write_text(text)
     with caplog.at_level(logging.WARNING):
         known = statistics.library() if kind == "statistics" else divergence.library()
-    assert len(known) == (6 if kind == "statistics" else 4)
+    assert len(known) == (8 if kind == "statistics" else 4)
     assert len(caplog.records) == 1 and said in caplog.records[0].getMessage()
 
 
 def test_a_folder_that_is_not_there_is_said_where_it_was_asked_for(folders: Path, caplog, monkeypatch) -> None:
     monkeypatch.setenv("TCBI_STATISTICS", str(folders / "gone"))
     with caplog.at_level(logging.WARNING):
-        assert len(statistics.library()) == 6
+        assert len(statistics.library()) == 8
     assert "is no folder; make it, or unset TCBI_STATISTICS" in caplog.text
 
 

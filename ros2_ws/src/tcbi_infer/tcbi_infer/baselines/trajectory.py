@@ -13,7 +13,7 @@ import numpy as np
 
 from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.statistics import RolloutArrays
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import Problem, Simulated
 
 STATISTIC = "trajectory"  # under which its distance stands where other methods have their divergences
 
@@ -38,14 +38,15 @@ def nothing(real: Trajectories) -> Trajectories:
 
 def observe(problem: Problem) -> Trajectories:
     """The recorded rollouts themselves, as one particle."""
-    return trajectories(problem, [group.arrays for group in problem.groups], np.ones(1, bool))
+    measured = [group.arrays for group in problem.groups]
+    return trajectories(problem, Simulated(measured, measured, np.ones(1, bool)))
 
 
-def trajectories(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> Trajectories:
+def trajectories(problem: Problem, simulated: Simulated) -> Trajectories:
     """The view of `Problem.simulate` for trajectory-based methods."""
     attitude = all(group.arrays.attitude is not None for group in problem.groups)
     parts = []
-    for group, arrays in zip(problem.groups, rollouts, strict=True):
+    for group, arrays in zip(problem.groups, simulated.readings, strict=True):
         real = _state(group.arrays, attitude)
         measured = np.isfinite(real)
         difference = np.where(measured, _state(arrays, attitude) - real, 0.0)
@@ -55,7 +56,7 @@ def trajectories(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndar
         parts.append((*sums, measured.sum(axis=(1, 2)), known.sum(axis=1)))
     absolute, square, summary, samples, count = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     samples, count = np.maximum(samples, 1), np.maximum(count, 1)
-    return Trajectories(absolute / samples, square / samples, summary / count, valid)
+    return Trajectories(absolute / samples, square / samples, summary / count, simulated.valid)
 
 
 def _state(arrays: RolloutArrays, attitude: bool) -> np.ndarray:

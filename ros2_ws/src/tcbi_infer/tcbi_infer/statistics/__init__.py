@@ -11,6 +11,8 @@ import pkgutil
 from collections.abc import Iterator
 from functools import cache
 
+import numpy as np
+
 from tcbi_infer import user_files
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics.base import RolloutArrays, Statistic, averaged, from_measurements, padded_commands
@@ -18,7 +20,7 @@ from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.user_file import told
 
 PAPER = ("reward", "attitude", "contact_ratio")
-CALIBRATED = (*PAPER, "joint_tracking", "early_response", "body_rates")
+CALIBRATED = (*PAPER, "joint_tracking", "early_response", "body_rates", "joint_motion", "body_motion")
 
 __all__ = [
     "CALIBRATED",
@@ -26,10 +28,12 @@ __all__ = [
     "RolloutArrays",
     "Statistic",
     "averaged",
+    "channels_of",
     "failing",
     "from_measurements",
     "library",
     "padded_commands",
+    "samples",
     "select",
 ]
 
@@ -65,6 +69,30 @@ def failing(statistic: Statistic) -> Iterator[None]:
     except Exception as e:
         file = getattr(getattr(statistic.compute, "__code__", None), "co_filename", statistic.name)
         raise InferError(f"statistic {statistic.name} fails: {told(e, file)}") from e
+
+
+def channels_of(statistic: Statistic, arrays: RolloutArrays) -> tuple[str, ...]:
+    """Names of a statistic's channels.
+
+    Raises:
+      InferError: the statistic fails.
+    """
+    with failing(statistic):
+        return tuple(statistic.channels(arrays))
+
+
+def samples(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
+    """(N, S, C, K) samples, checked.
+
+    Raises:
+      InferError: the statistic fails, or its shape is not what it promised.
+    """
+    with failing(statistic):
+        values = np.asarray(statistic.compute(arrays), float)
+    expected = (*arrays.count, len(channels_of(statistic, arrays)))
+    if values.ndim != 4 or values.shape[:3] != expected:
+        raise InferError(f"statistic {statistic.name} gave shape {values.shape}, must be {expected} and its samples")
+    return values
 
 
 def select(names: tuple[str, ...], arrays: RolloutArrays) -> tuple[tuple[Statistic, ...], tuple[str, ...]]:

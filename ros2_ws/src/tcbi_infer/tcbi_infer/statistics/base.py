@@ -180,6 +180,7 @@ class Statistic:
     channels: Callable[[RolloutArrays], tuple[str, ...]]
     compute: Callable[[RolloutArrays], np.ndarray]
     lacks: Callable[[RolloutArrays], str] = nothing_more  # "" or what else is missing
+    in_time: bool = False  # compared in time where commands are replayed, not as histograms: K samples on the time grid
 
     def missing(self, arrays: RolloutArrays) -> str:
         """ "" if these rollouts have all that the statistic needs, else what they lack."""

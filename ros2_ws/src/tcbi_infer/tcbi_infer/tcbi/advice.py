@@ -17,8 +17,7 @@ import numpy as np
 
 from tcbi_contract.names import SLOPE_LIMIT
 from tcbi_infer.diagnose.motions import STILL, Motion, gait_motion, ready_motions
-from tcbi_infer.statistics import RolloutArrays, Statistic, failing, from_measurements
-from tcbi_infer.tcbi.features import samples
+from tcbi_infer.statistics import RolloutArrays, Statistic, failing, from_measurements, samples
 from tcbi_infer.tcbi.prior import Prior
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, LEAST_ESS, Result
@@ -142,7 +141,7 @@ def features(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
 
 def residuals(problem: Problem, unit: np.ndarray) -> dict[str, np.ndarray]:
     """Statistic -> (2 C,) root mean square, over the rollouts, of measured minus simulated features at (P,) `unit`."""
-    simulated, _ = problem.rollouts(unit[None])
+    simulated = problem.rollouts(unit[None]).readings
     found = {}
     for statistic in problem.statistics:
         apart = [

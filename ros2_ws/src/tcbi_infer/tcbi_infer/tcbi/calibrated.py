@@ -23,7 +23,9 @@ from tcbi_contract.errors import describe
 from tcbi_infer.errors import SettingError
 from tcbi_infer.tcbi import calibration
 from tcbi_infer.tcbi.emulator import expected_draws
+from tcbi_infer.tcbi.expansion import Expansion, expansion
 from tcbi_infer.tcbi.features import Features, Observed, weighable
+from tcbi_infer.tcbi.in_time import no_differences
 from tcbi_infer.tcbi.proposal import (
     Proposal,
     draw,
@@ -35,7 +37,7 @@ from tcbi_infer.tcbi.proposal import (
 )
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised, temper
 
-EXPECTED = 200  # points where the emulator expects the posterior
+EXPECTED = 1000  # points where the emulator expects the posterior
 WIDEN = 1.5  # a proposal should be wider than its target: by so much less the energies count there
 
 
@@ -57,6 +59,7 @@ class CalibratedState(NamedTuple):
     features: Features  # of M particles
     proposals: tuple[Proposal, ...]  # one a generation
     energy: np.ndarray  # (M,) above the least, inf where diverged
+    floor: np.ndarray  # (C + K,) that divergences are divided by
     log_weights: np.ndarray  # (M,)
     alpha: float
     alpha_supported: float  # by the data, as far as the simulations so far can tell
@@ -72,14 +75,19 @@ class CalibratedInfo(NamedTuple):
     alpha_supported: float
     floor_noise: np.ndarray  # (statistics,) mean over channels
     floor_misfit: np.ndarray  # (statistics,)
-    misfit: np.ndarray  # (C,) of each channel, over its noise, or over the mean of its statistic's where that is more
+    misfit: (
+        np.ndarray
+    )  # (C + K,) of each channel, over its noise, or over the mean of its statistic's where that is more
     best: np.ndarray  # (n, P) the particles that fit best, in the cube where the prior is uniform
 
 
 def init(dimensions: int) -> CalibratedState:
     """Nothing simulated yet."""
-    features = Features(np.zeros((0, 1, 1, 1), np.float32), np.zeros((0, 1)), np.zeros(0), np.zeros(0, bool))
-    return CalibratedState(0, np.zeros((0, dimensions)), features, (), np.zeros(0), np.zeros(0), 0.0, 0.0, False)
+    none = np.zeros(0)
+    features = Features(
+        np.zeros((0, 1, 1, 1), np.float32), np.zeros((0, 1)), none, np.zeros(0, bool), no_differences(0)
+    )
+    return CalibratedState(0, np.zeros((0, dimensions)), features, (), none, none, none, 0.0, 0.0, False)
 
 
 def step(
@@ -107,7 +115,7 @@ def step(
     if state.generation == 0:
         drawn_from = prior_proposal(settings.particles, state.z.shape[1])
     else:
-        expected = expected_draws(rng, state.z, state.energy, state.alpha_supported / WIDEN, EXPECTED)
+        expected = _expected(rng, state, observed)
         weights = normalised(state.log_weights)
         drawn_from = proposal(settings.particles, state.z, weights, expected, settings.prior_share)
     fresh = draw(rng, drawn_from)
@@ -117,6 +125,19 @@ def step(
     features = features._replace(divergence=np.where(usable[:, None], features.divergence, 0.0), valid=usable)
     z, proposals = np.concatenate([state.z, fresh]), (*state.proposals, drawn_from)
     return _weigh(rng, state, z, features, proposals, observed, settings)
+
+
+def _expected(rng: np.random.Generator, state: CalibratedState, observed: Observed) -> np.ndarray | None:
+    """(n, P) draws from where the posterior is expected, None while nothing can be expected."""
+    alpha, moves = (
+        state.alpha_supported / WIDEN,
+        _expansion(observed, state.features, state.floor, state.energy, state.z),
+    )
+    if moves is None:
+        return expected_draws(rng, state.z, state.energy, alpha, EXPECTED)
+    rest = calibration.energy(observed, state.features.divergence, state.floor, in_time=False)
+    rest = np.where(np.isfinite(state.energy), rest - rest[np.isfinite(state.energy)].min(), np.inf)
+    return expected_draws(rng, state.z, rest, alpha, EXPECTED, moves)
 
 
 def _weigh(
@@ -129,17 +150,17 @@ def _weigh(
     settings: CalibratedSettings,
 ) -> tuple[CalibratedState, CalibratedInfo]:
     log_base = np.where(features.valid, log_prior(z) - log_mixture(proposals, z), -np.inf)
-    floors = calibration.floors(observed, features.counts, features.divergence, features.valid)
-    energy = calibration.energy(observed, features.divergence, floors.total)
-    energy = np.where(features.valid, energy - energy[features.valid].min(), np.inf)
-    supported = calibration.calibrate(rng, observed, features.counts, floors.total, z, log_base, energy)
+    floors, energy = _judged(observed, features)
+    seen, doubt = _smoothed(observed, features, floors.total, energy, z)
+    floors, energy = _judged(observed, seen, doubt)
+    supported = calibration.calibrate(rng, observed, seen, floors.total, z, log_base, energy)
     supported = min(supported, settings.alpha)
     alpha = temper(energy, log_base, supported, settings.least_ess * settings.particles)
     log_weights = np.where(features.valid, log_base - alpha * np.where(features.valid, energy, 0.0), -np.inf)
     weights = normalised(log_weights)
     noise = observed.by_statistic(floors.noise)
     info = CalibratedInfo(
-        divergence=weights @ observed.by_statistic(features.divergence),
+        divergence=weights @ observed.by_statistic(seen.divergence),
         ess=effective_sample_size(weights),
         alpha=alpha,
         alpha_supported=supported,
@@ -150,9 +171,42 @@ def _weigh(
     )
     converged = before.generation >= 2 and alpha >= 0.99 * supported and _steady(before, z, weights)
     state = CalibratedState(
-        before.generation + 1, z, features, proposals, energy, log_weights, alpha, supported, bool(converged)
-    )
+        before.generation + 1, z, features, proposals, energy, floors.total, log_weights, alpha, supported,
+        bool(converged),
+    )  # fmt: skip
     return state, info
+
+
+def _judged(
+    observed: Observed, features: Features, doubt: np.ndarray | float = 0.0
+) -> tuple[calibration.Floors, np.ndarray]:
+    """The floors, and the (M,) energies above the least, inf where diverged."""
+    floors = calibration.floors(observed, features, doubt)
+    energy = calibration.energy(observed, features.divergence, floors.total)
+    return floors, np.where(features.valid, energy - energy[features.valid].min(), np.inf)
+
+
+def _smoothed(
+    observed: Observed, features: Features, floor: np.ndarray, energy: np.ndarray, z: np.ndarray
+) -> tuple[Features, np.ndarray]:
+    """The same with motions that are foreseen by regression in place of each one's own, and the doubt about them."""
+    moves, doubt = _expansion(observed, features, floor, energy, z), np.zeros(len(floor))
+    if moves is None:
+        return features, doubt
+    in_time, histograms = observed.in_time, observed.histograms
+    doubt[histograms:] = in_time.doubt(floor[histograms:], moves)
+    smooth = in_time.foreseen(features.differences, floor[histograms:], moves, z)
+    divergence = np.concatenate([features.divergence[:, :histograms], in_time.divergences(smooth)], axis=1)
+    return features._replace(divergence=divergence, differences=smooth), doubt
+
+
+def _expansion(
+    observed: Observed, features: Features, floor: np.ndarray, energy: np.ndarray, z: np.ndarray
+) -> Expansion | None:
+    """Of the motions; None where nothing is compared in time, or the particles are too few."""
+    if not observed.in_time.variance.size:
+        return None
+    return expansion(z, energy, observed.in_time.motion(features.differences, floor[observed.histograms :]))
 
 
 def _steady(before: CalibratedState, z: np.ndarray, weights: np.ndarray) -> bool:

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tcbi_infer.errors import InferError
-from tcbi_infer.tcbi.features import Observed, not_finite, resampled_divergences
+from tcbi_infer.tcbi.features import Features, Observed, not_finite, resampled_divergences
+from tcbi_infer.tcbi.in_time import Differences
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 
 LARGEST_ALPHA = 0.5
@@ -30,51 +31,58 @@ BEST = 5  # particles that show what divergence remains
 class Floors(NamedTuple):
     """Divergence per channel below which differences mean nothing."""
 
-    noise: np.ndarray  # (C,) expected of a right model, from how residuals vary between rollouts
-    freedom: np.ndarray  # (C,) degrees of freedom that the noise is spread over
-    misfit: np.ndarray  # (C,) what the best particles cannot remove
+    noise: np.ndarray  # (C + K,) expected of a right model, from how residuals vary between rollouts
+    freedom: np.ndarray  # (C + K,) degrees of freedom that the noise is spread over
+    misfit: np.ndarray  # (C + K,) what the best particles cannot remove
+    doubt: np.ndarray  # (C + K,) about the divergences themselves, where they are foreseen by regression
 
     @property
     def total(self) -> np.ndarray:
-        """(C,) what divergences are divided by, positive."""
-        return np.maximum(self.noise / self.freedom + np.maximum(self.misfit - self.noise, 0.0), LEAST)
+        """(C + K,) what divergences are divided by, positive."""
+        floor = self.noise / self.freedom + np.maximum(self.misfit - self.noise, 0.0) + self.doubt
+        return np.maximum(floor, LEAST)
 
 
-def floors(observed: Observed, counts: np.ndarray, divergence: np.ndarray, usable: np.ndarray) -> Floors:
+def floors(observed: Observed, simulated: Features, doubt: np.ndarray | float = 0.0) -> Floors:
     """Noise and misfit at the particles that fit best; the two depend on each other, so a few rounds are taken.
 
     Args:
       observed: the real rollouts.
-      counts: (M, U, C, B) of the simulations.
-      divergence: (M, C) of the pooled counts.
-      usable: (M,) bool, particles that did not diverge.
+      simulated: of M particles.
+      doubt: (C + K,) about their divergences.
 
     Raises:
       InferError: the divergence of the rollouts from ones like them is not finite.
     """
-    candidates = np.flatnonzero(usable)
+    candidates, divergence = np.flatnonzero(simulated.valid), simulated.divergence
     scale = np.maximum(np.median(divergence[candidates], axis=0), LEAST)
-    found = Floors(np.zeros_like(scale), np.ones_like(scale), scale)
+    doubted = np.broadcast_to(doubt, scale.shape)
+    found = Floors(np.zeros_like(scale), np.ones_like(scale), scale, doubted)
     for _ in range(3):
         energy = observed.by_statistic(divergence[candidates] / found.total).sum(axis=-1)
         best = candidates[np.argsort(energy, kind="stable")[:BEST]]
-        each = [observed.measure.noise(observed.counts, counts[b]) for b in best]
-        noise, freedom = np.mean(each, axis=0)
+        each = [observed.measure.noise(observed.counts, simulated.counts[b]) for b in best]
+        in_time = [observed.in_time.noise(simulated.differences, b) for b in best]
+        noise, freedom = np.concatenate([np.mean(each, axis=0), np.mean(in_time, axis=0)], axis=-1)
         if not np.isfinite(noise).all():
             raise InferError(not_finite(observed.channels, ~np.isfinite(noise)))
-        found = Floors(noise, freedom, divergence[best].min(axis=0))
+        found = Floors(noise, freedom, divergence[best].min(axis=0), doubted)
     return found
 
 
-def energy(observed: Observed, divergence: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """(...) sum over statistics of the mean over channels of (..., C) divergence / (C,) floor."""
-    return observed.by_statistic(divergence / floor).sum(axis=-1)
+def energy(observed: Observed, divergence: np.ndarray, floor: np.ndarray, in_time: bool = True) -> np.ndarray:
+    """(...) sum over statistics of the mean over channels of (..., C + K) divergence / (C + K,) floor.
+
+    Without those that are compared in time if `in_time` is false.
+    """
+    terms = observed.by_statistic(divergence / floor)
+    return terms[..., : terms.shape[-1] - (0 if in_time else len(observed.in_time.variance))].sum(axis=-1)
 
 
 def calibrate(
     rng: np.random.Generator,
     observed: Observed,
-    counts: np.ndarray,
+    simulated: Features,
     floor: np.ndarray,
     z: np.ndarray,
     log_base: np.ndarray,
@@ -85,8 +93,8 @@ def calibrate(
     Args:
       rng: draws the resamples.
       observed: the real rollouts.
-      counts: (M, U, C, B) of the simulations.
-      floor: (C,).
+      simulated: of M particles.
+      floor: (C + K,).
       z: (M, P) particles, in the space where spread is judged.
       log_base: (M,) log-weights at alpha = 0, -inf for particles that do not count.
       full: (M,) energies with all rollouts.
@@ -97,10 +105,12 @@ def calibrate(
     order = np.argsort(np.where(np.isfinite(log_base), full, np.inf), kind="stable")[: np.isfinite(log_base).sum()]
     few = min(len(order), observed.measure.particles)  # evenly: the best alone would be narrower than the posterior
     order = order[np.linspace(0, len(order) - 1, few).round().astype(int)]
-    counts, z, log_base, full = counts[order], z[order], log_base[order], full[order]
+    counts, z, log_base, full = simulated.counts[order], z[order], log_base[order], full[order]
+    differences = Differences(*(part[order] for part in simulated.differences))
     units = len(observed.counts)
     resampled = rng.multinomial(units, np.full(units, 1 / units), size=RESAMPLES)
     divergence = resampled_divergences(observed, counts, resampled)
+    divergence = np.concatenate([divergence, observed.in_time.divergences(differences, resampled)], axis=-1)
     energies = energy(observed, divergence, floor).T
     hopeless = ~np.isfinite(energies).any(axis=1)
     if hopeless.any():

@@ -13,12 +13,13 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
+from tcbi_infer.tcbi.expansion import Expansion
 from tcbi_infer.tcbi.proposal import log_kernels, log_prior
 from tcbi_infer.tcbi.weights import normalised, resample
 
 SHARE = 0.5  # of the particles, those of least energy, that are regressed
 FEWEST, MOST = 20, 200  # of them
-CANDIDATES = 2000  # in each round
+CANDIDATES = 5000  # in each round
 ROUNDS = 4
 BANDWIDTH = 0.5  # of the candidates' kernels, times the spread of their centers
 MARGIN = 1.0  # standard deviations of the particles by which draws may lie beyond them
@@ -87,12 +88,25 @@ def _loss(logs: np.ndarray, y: np.ndarray, apart: np.ndarray, expected: np.ndarr
 
 
 def expected_draws(
-    rng: np.random.Generator, z: np.ndarray, energy: np.ndarray, alpha: float, count: int
+    rng: np.random.Generator,
+    z: np.ndarray,
+    energy: np.ndarray,
+    alpha: float,
+    count: int,
+    moves: Expansion | None = None,
 ) -> np.ndarray | None:
     """(count, P) draws of exp(-alpha energy) x standard normal prior, as the emulator expects it; None without one.
 
     Candidates come from kernels on the particles, then from kernels on what was drawn in the round before. Far beyond
     the particles that the emulator rests on, it is not asked.
+
+    Args:
+      rng: of the draws.
+      z: (M, P) particles in probit space.
+      energy: (M,) theirs, above the least; inf where the simulation diverged.
+      alpha: as above.
+      count: of the draws.
+      moves: expects a further part of the energy, which the energies here are without.
     """
     expects = emulator(z, energy)
     if expects is None:
@@ -104,7 +118,8 @@ def expected_draws(
         sd = BANDWIDTH * np.maximum(centers.std(axis=0), 1e-3)
         drawn = centers[rng.integers(0, len(centers), CANDIDATES)] + sd * rng.standard_normal((CANDIDATES, z.shape[1]))
         evenly = np.full(len(centers), 1.0 / len(centers))
-        log_weights = log_prior(drawn) - alpha * expects.energy(drawn)
+        energies = expects.energy(drawn) + (0.0 if moves is None else moves.energy(drawn))
+        log_weights = log_prior(drawn) - alpha * energies
         log_weights -= log_kernels(drawn, centers, evenly, np.diag(sd**2))
         inside = ((drawn >= low) & (drawn <= high)).all(axis=1)
         centers = drawn[resample(rng, normalised(np.where(inside, log_weights, -np.inf)), count)]

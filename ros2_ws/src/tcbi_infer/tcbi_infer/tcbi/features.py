@@ -2,7 +2,8 @@
 
 Counts of several rollouts add, so the divergence of any subset or bootstrap sample of rollouts is known without
 simulating again; the trajectories themselves are dropped. M particles, U units (rollouts, or blocks of rollouts where
-there are few), C channels of all statistics in a row, B bins.
+there are few), C channels of all histograms in a row, B bins. Of K statistics that are compared in time (`in_time`) it
+is sums over each unit instead; they stand behind the histograms wherever divergences stand in a row.
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ import numpy as np
 from tcbi_contract.wording import some
 from tcbi_infer.divergence import Binning
 from tcbi_infer.errors import InferError
-from tcbi_infer.statistics import RolloutArrays, Statistic, failing
+from tcbi_infer.tcbi.in_time import NOTHING, Differences, InTime
 from tcbi_infer.tcbi.pooled import JensenShannon, PooledDivergence
 from tcbi_sim.workers import threads_here
 
@@ -25,52 +26,36 @@ class Features(NamedTuple):
     """Simulated rollouts of M particles."""
 
     counts: np.ndarray  # (M, U, C, B) float32
-    divergence: np.ndarray  # (M, C) of all rollouts together, by the divergence that was chosen
+    divergence: np.ndarray  # (M, C + K) of all rollouts together, by the divergence that was chosen
     reward: np.ndarray  # (M,) mean reward per control step; NaN where the task has none
     valid: np.ndarray  # (M,) bool, False where the simulation diverged
+    differences: Differences  # of what is compared in time
 
     def join(self, other: "Features") -> "Features":
         """Both sets of particles, these first."""
-        return Features(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+        counts, divergence, reward, valid = (np.concatenate(pair) for pair in zip(self[:-1], other[:-1], strict=True))
+        return Features(counts, divergence, reward, valid, self.differences.join(other.differences))
 
 
 class Observed(NamedTuple):
     """The real rollouts, in the same bins."""
 
     counts: np.ndarray  # (U, C, B) float32
-    statistic: np.ndarray  # (C,) index into `statistics`
+    statistic: np.ndarray  # (C + K,) index into `statistics`
     statistics: tuple[str, ...]
-    channels: tuple[str, ...]  # C names, statistic/channel
+    channels: tuple[str, ...]  # C + K names, statistic/channel
     measure: PooledDivergence = JensenShannon()  # of the histograms
+    in_time: InTime = NOTHING
+
+    @property
+    def histograms(self) -> int:
+        """C."""
+        return len(self.statistic) - len(self.in_time.variance)
 
     def by_statistic(self, values: np.ndarray) -> np.ndarray:
-        """(..., C) -> (..., statistics): the mean over each statistic's channels."""
+        """(..., C + K) -> (..., statistics): the mean over each statistic's channels."""
         parts = [values[..., self.statistic == i].mean(axis=-1) for i in range(len(self.statistics))]
         return np.stack(parts, axis=-1)
-
-
-def channels_of(statistic: Statistic, arrays: RolloutArrays) -> tuple[str, ...]:
-    """Names of a statistic's channels.
-
-    Raises:
-      InferError: the statistic fails.
-    """
-    with failing(statistic):
-        return tuple(statistic.channels(arrays))
-
-
-def samples(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
-    """(N, S, C, K) samples, checked.
-
-    Raises:
-      InferError: the statistic fails, or its shape is not what it promised.
-    """
-    with failing(statistic):
-        values = np.asarray(statistic.compute(arrays), float)
-    expected = (*arrays.count, len(channels_of(statistic, arrays)))
-    if values.ndim != 4 or values.shape[:3] != expected:
-        raise InferError(f"statistic {statistic.name} gave shape {values.shape}, must be {expected} and its samples")
-    return values
 
 
 def binned(values: np.ndarray, binnings: list[Binning], blocks: int) -> np.ndarray:

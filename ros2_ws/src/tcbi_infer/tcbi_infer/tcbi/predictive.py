@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tcbi_infer.statistics import RolloutArrays
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import Problem, Simulated
 from tcbi_infer.tcbi.weights import normalised, resample
 from tcbi_sim.scatter import SCATTER, with_scatter
 
@@ -139,13 +138,13 @@ def _simulate_scattered(problem: Problem, unit: np.ndarray, rng: np.random.Gener
     return found
 
 
-def _traces(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> _Traces:
+def _traces(problem: Problem, simulated: Simulated) -> _Traces:
     """The view of `Problem.simulate`."""
-    pairs = [(simulated, group.arrays) for simulated, group in zip(rollouts, problem.groups, strict=True)]
+    pairs = [(seen, group.arrays) for seen, group in zip(simulated.readings, problem.groups, strict=True)]
     tilted = all(real.attitude is not None for _, real in pairs)
-    joints = ((simulated.joint_position, real.joint_position) for simulated, real in pairs)
-    tilts = ((simulated.roll_pitch, real.roll_pitch) for simulated, real in pairs if tilted)
-    return _Traces(_differences(joints), _differences(tilts), valid)
+    joints = ((seen.joint_position, real.joint_position) for seen, real in pairs)
+    tilts = ((seen.roll_pitch, real.roll_pitch) for seen, real in pairs if tilted)
+    return _Traces(_differences(joints), _differences(tilts), simulated.valid)
 
 
 def _differences(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, ...]:

@@ -13,16 +13,19 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tcbi_contract.errors import describe
+from tcbi_contract.wording import some
 from tcbi_infer.divergence import BINS, Binning, divergence, measured
 from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
-from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, averaged, select
-from tcbi_infer.tcbi.features import Features, Observed, binned, channels_of, divergences, samples
+from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, averaged, samples, select
+from tcbi_infer.tcbi.channels import LEAST_SAMPLES, by_channel, counted, mean_reward, names_of, oddities, pooled
+from tcbi_infer.tcbi.features import Features, Observed, divergences
+from tcbi_infer.tcbi.in_time import comparable, differences
 from tcbi_infer.tcbi.loop import AUTO, find_controllers
 from tcbi_infer.tcbi.pooled import JS, pooled_divergence
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
@@ -47,10 +50,6 @@ from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.workers import chunk_size, present, threads_here
 
-# of a channel: with fewer the histogram of a right model may lie 6 to 11 times as far off as their scatter suggests (a
-# simulation of such draws), and be taken for a wrong one; with 5 at most 3 times
-LEAST_SAMPLES = 5
-CROWDED = 0.9  # share of a channel's samples in one bin, from which it is said
 LOOKED_AT = 25  # particles that a thread looks at at a time: with 5 it takes half as long again
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
 LONGEST_STEP = 0.005  # s: with 10 ms contacts are softer, and stiff servos look up to an eighth softer or stiffer
@@ -63,7 +62,8 @@ class Problem:
     model: Model
     groups: tuple[Group, ...]
     controllers: tuple[Controller | None, ...]  # one a group; None replays the commands
-    statistics: tuple[Statistic, ...]
+    statistics: tuple[Statistic, ...]  # of which there are histograms
+    followed: tuple[Statistic, ...]  # that are compared in time
     observed: Observed
     binnings: tuple[Binning, ...]  # C
     real_samples: tuple[np.ndarray, ...]  # (C) pooled samples of each channel
@@ -136,30 +136,41 @@ class Problem:
             for g in grouped(usable, rate, acting=controllers)
         ]
         kept, left_out = _common(statistics, groups)
+        blocks = blocks_for(len(usable))
+        acting = tuple(controllers.get(g.measurements[0].policy_id) for g in groups)
+        followed, in_time = comparable(
+            [s for s in kept if s.in_time], [g.recorded for g in groups], [c is None for c in acting], blocks
+        )
+        if all(s.in_time for s in kept):
+            raise InferError(
+                f"{some([s.name for s in kept])}: compared in time alone, which says nothing where a policy acts; name "
+                "a statistic with a distribution, too, such as joint_tracking"
+            )
+        kept = tuple(s for s in kept if not s.in_time)
         parts = [[samples(statistic, g.arrays) for statistic in kept] for g in groups]
-        names, owner, pooled = _channels(kept, groups, parts)
-        used = [i for i, values in enumerate(pooled) if values.size >= LEAST_SAMPLES]
+        (names, owner), values = names_of(kept, groups[0].arrays), pooled(parts)
+        used = [i for i, found in enumerate(values) if found.size >= LEAST_SAMPLES]
         if not used:
             raise InferError(
                 f"no statistic has {LEAST_SAMPLES} finite samples in the real rollouts (tried: "
                 f"{', '.join(s.name for s in kept)}); add another one, or record more or longer rollouts"
             )
-        binnings = tuple(Binning.of(pooled[i], bins) for i in used)
-        blocks = blocks_for(len(usable))
-        counts = _counts(parts, [g.arrays.count for g in groups], used, list(binnings), blocks)[0]
+        binnings = tuple(Binning.of(values[i], bins) for i in used)
+        counts = counted(parts, [g.arrays.count for g in groups], used, list(binnings), blocks)[0]
         owner = owner[used]
         present = sorted(set(owner.tolist()))
         observed = Observed(
             counts,
-            np.array([present.index(o) for o in owner]),
-            tuple(kept[i].name for i in present),
-            tuple(names[i] for i in used),
+            np.array([*(present.index(o) for o in owner), *(len(present) + k for k in range(len(followed)))]),
+            (*(kept[i].name for i in present), *(s.name for s in followed)),
+            (*(names[i] for i in used), *(f"{s.name}/in time" for s in followed)),
             pooled_divergence(divergence_name, binnings, counts),
+            in_time,
         )
-        odd = (*left_out, *_silent(names, used), *_constant(names, used, pooled), *_crowded(observed))
+        odd = (*left_out, *oddities(names, used, values, observed))
         return cls(
-            model, tuple(groups), tuple(controllers.get(g.measurements[0].policy_id) for g in groups), kept, observed,
-            binnings, tuple(pooled[i] for i in used), blocks, noise,
+            model, tuple(groups), acting, kept, followed, observed,
+            binnings, tuple(values[i] for i in used), blocks, noise,
             timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
             (*warnings, said, *(odd if by_task else ()), *noisier(noise, nominal)),
             known, noisy,
@@ -221,26 +232,27 @@ class Problem:
         chunks = [unit[begin : begin + step] for begin in range(0, len(unit), step)]
         return _joined(present().map(functools.partial(self.seen, seen), chunks, progress))
 
-    def rollouts(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
-        """Simulated rollouts of each group, and (N,) whether none of a particle's diverged."""
-        exact, valid = self._simulated(unit)
-        rngs = self._rngs(unit)
-        return [self.read(arrays, rngs) for arrays in exact], valid
+    def rollouts(self, unit: np.ndarray) -> "Simulated":
+        """Of some particles."""
+        return self._read(*self._simulated(unit), unit)
 
     def seen(self, view: "View", unit: np.ndarray) -> Any:
         """What a view keeps of some particles' rollouts: little beside these, which stay where they were simulated."""
         exact, valid = self._simulated(unit)
 
         def looked(part: slice) -> Any:
-            rngs = self._rngs(unit[part])
-            return view(self, [self.read(arrays.only(part), rngs) for arrays in exact], valid[part])
+            return view(self, self._read([arrays.only(part) for arrays in exact], valid[part], unit[part]))
 
         parts = [slice(begin, begin + LOOKED_AT) for begin in range(0, len(unit), LOOKED_AT)]
         with ThreadPoolExecutor(threads_here(self.threads)) as pool:
             return _joined(list(pool.map(looked, parts)))
 
+    def _read(self, exact: list[RolloutArrays], valid: np.ndarray, unit: np.ndarray) -> "Simulated":
+        rngs = self._rngs(unit)
+        return Simulated([self.read(arrays, rngs) for arrays in exact], exact, valid)
+
     def _simulated(self, unit: np.ndarray) -> tuple[list[RolloutArrays], np.ndarray]:
-        """As `rollouts`, without the sensors' noise."""
+        """Rollouts of each group without the sensors' noise, and (N,) whether none of a particle's diverged."""
         groups: list[RolloutArrays] = []
         valid = np.ones(len(unit), bool)
         for group, controller in zip(self.groups, self.controllers, strict=True):
@@ -268,41 +280,63 @@ class Problem:
         return averaged(with_noise(simulated, self.readings_noise, rngs), self.noisy, AVERAGE_S, TURNING_S)
 
 
+class Simulated(NamedTuple):
+    """Rollouts of N particles, one `RolloutArrays` a group, on the grids of the real ones."""
+
+    readings: list[RolloutArrays]  # as the robot's are read
+    exact: list[RolloutArrays]  # without the sensors' noise, and not averaged
+    valid: np.ndarray  # (N,) bool, whether none of a particle's diverged
+
+
 def _joined(parts: list[Any]) -> Any:
     """Halves with halves, so that many parts are not copied with every further one."""
     half = len(parts) // 2
     return _joined(parts[:half]).join(_joined(parts[half:])) if half else parts[0]
 
 
-# What a method keeps of simulated rollouts: one `RolloutArrays` a group, (N,) validity -> something with `join`.
-View = Callable[[Problem, list[RolloutArrays], np.ndarray], Any]
+# What a method keeps of simulated rollouts: something with `join`.
+View = Callable[[Problem, Simulated], Any]
 
 
-def task_features(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> Features:
+def task_features(problem: Problem, simulated: Simulated) -> Features:
     """The view of TCBI as published: histograms of the task's statistics, and divergences of their samples."""
-    parts, used, counts = _binned(problem, rollouts)
+    parts, used, counts = _binned(problem, simulated.readings)
     if problem.divergence_name == JS:  # equal to pooling samples, and the counts are there already
         divergence = divergences(problem.observed, counts)
     else:
-        pooled = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in _by_channel(parts)]
+        every = [np.concatenate([v.reshape(len(v), -1) for v in values], axis=1) for values in by_channel(parts)]
         pairs = zip(problem.real_samples, used, strict=True)
-        divergence = np.stack([measured(problem.divergence_name, real, pooled[i]) for real, i in pairs], -1)
-    return Features(counts, divergence, _mean_reward(problem.statistics, parts), valid)
+        divergence = np.stack([measured(problem.divergence_name, real, every[i]) for real, i in pairs], -1)
+    return _features(problem, simulated, parts, counts, divergence)
 
 
-def histogram_features(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> Features:
+def histogram_features(problem: Problem, simulated: Simulated) -> Features:
     """The view of calibrated TCBI: histograms, and their divergences, which resampled rollouts have, too."""
-    parts, _, counts = _binned(problem, rollouts)
-    divergence = divergences(problem.observed, counts)
-    return Features(counts, divergence, _mean_reward(problem.statistics, parts), valid)
+    parts, _, counts = _binned(problem, simulated.readings)
+    return _features(problem, simulated, parts, counts, divergences(problem.observed, counts))
+
+
+def _features(
+    problem: Problem, simulated: Simulated, parts: list[list[np.ndarray]], counts: np.ndarray, divergence: np.ndarray
+) -> Features:
+    """What is compared in time goes behind the histograms' divergences."""
+    found = differences(
+        problem.followed,
+        [g.recorded for g in problem.groups],
+        simulated.exact,
+        [c is None for c in problem.controllers],
+        problem.blocks,
+    )
+    divergence = np.concatenate([divergence, problem.observed.in_time.divergences(found)], axis=1)
+    return Features(counts, divergence, mean_reward(problem.statistics, parts), simulated.valid, found)
 
 
 def _binned(problem: Problem, rollouts: list[RolloutArrays]) -> tuple[list[list[np.ndarray]], list[int], np.ndarray]:
     """Samples of each group and statistic, which channels count, and (N, U, C, B) histograms of these."""
     parts = [[samples(statistic, arrays) for statistic in problem.statistics] for arrays in rollouts]
-    names, _, _ = _channels(problem.statistics, list(problem.groups), None)
-    used = [names.index(name) for name in problem.observed.channels]
-    counts = _counts(parts, [arrays.count for arrays in rollouts], used, list(problem.binnings), problem.blocks)
+    names, _ = names_of(problem.statistics, problem.groups[0].arrays)
+    used = [names.index(name) for name in problem.observed.channels[: len(problem.binnings)]]
+    counts = counted(parts, [arrays.count for arrays in rollouts], used, list(problem.binnings), problem.blocks)
     return parts, used, counts
 
 
@@ -314,69 +348,3 @@ def _common(names: tuple[str, ...], groups: list[Group]) -> tuple[tuple[Statisti
         names = tuple(statistic.name for statistic in kept)
         left_out.update(dict.fromkeys(lines))
     return select(names, groups[0].arrays)[0], tuple(left_out)
-
-
-def _channels(
-    statistics: tuple[Statistic, ...], groups: list[Group], parts: list[list[np.ndarray]] | None
-) -> tuple[list[str], np.ndarray, list[np.ndarray]]:
-    """Names statistic/channel, each one's statistic, and (if samples are given) its finite samples of all groups."""
-    names, owner = [], []
-    for i, statistic in enumerate(statistics):
-        for channel in channels_of(statistic, groups[0].arrays):
-            names.append(f"{statistic.name}/{channel}")
-            owner.append(i)
-    pooled = []
-    if parts is not None:
-        flat = [np.concatenate([v.ravel() for v in values]) for values in _by_channel(parts)]
-        pooled = [values[np.isfinite(values)] for values in flat]
-    return names, np.array(owner), pooled
-
-
-def _by_channel(parts: list[list[np.ndarray]]) -> list[list[np.ndarray]]:
-    """parts[group][statistic] (N, S, C, K) -> for each channel of all statistics, its (N, S, K) of every group."""
-    out = []
-    for of_groups in zip(*parts, strict=True):
-        out += [[values[:, :, c] for values in of_groups] for c in range(of_groups[0].shape[2])]
-    return out
-
-
-def _counts(
-    parts: list[list[np.ndarray]], sizes: list[tuple[int, int]], used: list[int], binnings: list[Binning], blocks: int
-) -> np.ndarray:
-    """(N, U, C, B) float32 counts, the units of all groups in a row."""
-    total = sum(s for _, s in sizes) * blocks
-    counts = np.empty((sizes[0][0], total, len(used), binnings[0].bins), np.float32)
-    channels = _by_channel(parts)
-    for c, (index, binning) in enumerate(zip(used, binnings, strict=True)):
-        rows = [binned(values[:, :, None], [binning], blocks)[:, :, 0] for values in channels[index]]
-        counts[:, :, c] = np.concatenate(rows, axis=1)
-    return counts
-
-
-def _mean_reward(statistics: tuple[Statistic, ...], parts: list[list[np.ndarray]]) -> np.ndarray:
-    """(N,) mean reward per control step; NaN where the reward is not among the statistics."""
-    index = [i for i, s in enumerate(statistics) if s.name == "reward"]
-    if not index:
-        return np.full(len(parts[0][0]), np.nan)
-    pooled = np.concatenate([p[index[0]].reshape(len(p[index[0]]), -1) for p in parts], axis=1)
-    known = np.isfinite(pooled)
-    return np.where(known, pooled, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-
-
-def _silent(names: list[str], used: list[int]) -> tuple[str, ...]:
-    silent = [name for i, name in enumerate(names) if i not in used]
-    return (f"with fewer than {LEAST_SAMPLES} samples, left out: {', '.join(silent)}",) if silent else ()
-
-
-def _constant(names: list[str], used: list[int], pooled: list[np.ndarray]) -> tuple[str, ...]:
-    constant = [f"{names[i]} ({pooled[i][0]:.3g})" for i in used if np.ptp(pooled[i]) == 0]
-    return (f"the same in every sample, so it tells little: {', '.join(constant)}",) if constant else ()
-
-
-def _crowded(observed: Observed) -> tuple[str, ...]:
-    counts = observed.counts.sum(axis=0)
-    shares = counts.max(axis=-1) / counts.sum(axis=-1)
-    found = zip(observed.channels, shares, strict=True)
-    crowded = [f"{name} ({share:.1%})" for name, share in found if CROWDED < share < 1]
-    line = f"nearly all samples lie in one of {counts.shape[-1]} bins, so it tells little: {', '.join(crowded)}"
-    return (line,) if crowded else ()

@@ -15,6 +15,7 @@ from tcbi_infer.tcbi.weights import effective_sample_size, resample
 
 EDGE = 1e-7  # closest a particle comes to its bounds, in shares of the range
 INFLATION = 1.5  # on the kernel's standard deviation: a proposal should be wider than its target
+NEIGHBOURS = 10.0  # of an expected point, that its kernel spans at least
 LEAST_SD = 0.005  # of a kernel, in probit units
 PAIRS = 2**22  # of particle and kernel held at a time
 
@@ -77,16 +78,20 @@ def proposal(
         return Proposal(count, np.array([prior_share, 1.0 - prior_share, 0.0]), found, found)
     half = 0.5 * (1.0 - prior_share)
     evenly = np.full(len(expected), 1.0 / len(expected))
-    return Proposal(count, np.array([prior_share, half, half]), found, _kernels(expected, evenly, 1.0))
+    return Proposal(count, np.array([prior_share, half, half]), found, _kernels(expected, evenly, 1.0, NEIGHBOURS))
 
 
-def _kernels(centers: np.ndarray, weights: np.ndarray, inflation: float) -> Kernels:
-    """With Silverman's bandwidth of the centers' weighted covariance, times an inflation."""
+def _kernels(centers: np.ndarray, weights: np.ndarray, inflation: float, neighbours: float = np.inf) -> Kernels:
+    """With Silverman's bandwidth of the centers' weighted covariance, times an inflation.
+
+    It is less where about so many neighbours of a center lie within a narrower one: a ridge that bends stays narrow.
+    """
     p = centers.shape[1]
     mean = weights @ centers
     spread = (centers - mean).T @ ((centers - mean) * weights[:, None])
     ess = max(effective_sample_size(weights), 2.0)
     factor = (4.0 / (p + 2.0)) ** (2.0 / (p + 4.0)) * ess ** (-2.0 / (p + 4.0)) * inflation**2
+    factor = min(factor, (neighbours / ess) ** (2.0 / p))
     return Kernels(centers, weights, factor * spread + LEAST_SD**2 * np.eye(p))
 
 

@@ -39,7 +39,8 @@ class Group:
 
     measurements: tuple[Measurement, ...]
     time: np.ndarray  # (T,) s, from 0
-    arrays: RolloutArrays  # N = 1
+    recorded: RolloutArrays  # N = 1
+    arrays: RolloutArrays  # the same, with signals averaged that are noisy
 
     @property
     def duration(self) -> float:
@@ -197,7 +198,8 @@ def _group(members: list[Measurement], rate: float) -> Group:
     end = min(min(m.scenario.duration, float(m.time[-1]) + 0.5 / rate) for m in members)
     time = np.arange(int(np.floor(end * rate + 1e-6)) + 1) / rate
     cut = [_until(m, float(time[-1])) for m in members]
-    return Group(tuple(cut), time, from_measurements(cut, time))
+    arrays = from_measurements(cut, time)
+    return Group(tuple(cut), time, arrays, arrays)
 
 
 def _until(m: Measurement, duration: float) -> Measurement:

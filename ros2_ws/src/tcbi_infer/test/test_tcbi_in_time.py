@@ -1,0 +1,124 @@
+"""Statistics that are compared sample by sample, and motions that are foreseen by regression."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
+
+from tcbi_infer.errors import InferError
+from tcbi_infer.statistics import library
+from tcbi_infer.tcbi.driver import infer
+from tcbi_infer.tcbi.expansion import expansion
+from tcbi_infer.tcbi.in_time import SKETCH, comparable, differences, no_differences
+from tcbi_infer.tcbi.problem import Problem, histogram_features
+from tcbi_sim.model import base_model
+
+TRUTH, SD = np.array([0.4, -0.3]), np.array([0.2, 0.05])
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return Problem.of(*bench_rollouts(), timestep=0.005)
+
+
+def motions(z: np.ndarray, bend: float, noise: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 30) motions that bend with the parameters, and their (N,) squares; zero at `TRUTH`."""
+    rng = np.random.default_rng(7)
+    slope, curve = rng.standard_normal((2, 2, 30))
+    off = (z - TRUTH) / SD
+    found = off @ slope + bend * off**2 @ curve
+    found += noise * np.random.default_rng(seed).standard_normal(found.shape)
+    return found, (found**2).sum(axis=1)
+
+
+def test_the_divergence_is_the_mean_square_over_the_variance_and_zero_for_equals(problem: Problem) -> None:
+    statistics, groups = [library()["joint_motion"]], [g.arrays for g in problem.groups]
+    kept, real = comparable(statistics, groups, [True], 2)
+    assert [s.name for s in kept] == ["joint_motion"] and real.sampled.shape == (16, 1)
+    assert real.divergences(differences(kept, groups, groups, [True], 2)) == pytest.approx(0.0)
+    mean = [
+        dataclasses.replace(g, joint_position=np.full_like(g.joint_position, g.joint_position.mean())) for g in groups
+    ]
+    assert real.divergences(differences(kept, groups, mean, [True], 2)) == pytest.approx(1.0)
+
+
+def test_resamples_pool_their_units_and_units_that_nothing_is_compared_in_change_nothing(problem: Problem) -> None:
+    statistics, (group,) = [library()["joint_motion"]], [g.arrays for g in problem.groups]
+    moved = dataclasses.replace(
+        group, joint_position=group.joint_position + np.linspace(0, 0.1, 8)[None, :, None, None]
+    )
+    kept, real = comparable(statistics, [group, group], [True, False], 1)
+    found = differences(kept, [group, group], [moved, moved], [True, False], 1)
+    assert np.all(real.sampled[8:] == 0) and np.all(found.sums[:, 8:] == 0) and np.all(found.sketch[:, 8:] == 0)
+    first = np.eye(16)[[1, 7]]
+    expected = np.linspace(0, 0.1, 8)[[1, 7]] ** 2 / real.variance
+    assert real.divergences(found, first)[0, :, 0] == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_sketch_keeps_inner_products_about(problem: Problem) -> None:
+    unit = np.random.default_rng(0).random((6, 3))
+    found = problem.simulate(unit, view=histogram_features).differences
+    exact = found.sums[..., 0].sum(axis=(1, 2))
+    short = (found.sketch.astype(float) ** 2).sum(axis=(1, 2, 3))
+    assert found.sketch.shape[-1] == SKETCH and short == pytest.approx(exact, rel=0.25)
+
+
+def test_where_a_policy_acts_nothing_is_compared_in_time() -> None:
+    walking = hexapod_rollouts("balance", "gait:tripod")
+    acting = Problem.of(base_model("hexapod"), walking, loop="acting", timestep=0.01)
+    replayed = Problem.of(base_model("hexapod"), walking, loop="open", timestep=0.01)
+    only = Problem.of(base_model("hexapod"), hexapod_rollouts("balance"), loop="acting", timestep=0.01)
+    assert {"joint_motion", "body_motion"} <= set(acting.observed.statistics)
+    assert np.sum(acting.observed.in_time.sampled > 0) == np.sum(replayed.observed.in_time.sampled > 0) / 2
+    assert not {"joint_motion", "body_motion"} & set(only.observed.statistics)
+    assert only.simulate(np.full((2, 3), 0.5)).differences.sums.shape == no_differences(2).sums.shape
+
+
+@pytest.mark.parametrize(("bend", "order"), [(0.0, 1), (0.15, 2)])
+def test_motions_say_where_they_vanish_from_particles_far_away(bend: float, order: int) -> None:
+    z = TRUTH + 4 * SD + 3 * SD * np.random.default_rng(2).standard_normal((60, 2))
+    found, energy = motions(z, bend, 0.1)
+    moves = expansion(z, energy, found)
+    assert moves is not None and moves.order >= order
+    grid = TRUTH + SD * np.stack(np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-3, 3, 61)), -1).reshape(-1, 2)
+    assert np.all(np.abs(grid[np.argmin(moves.energy(grid))] - TRUTH) < (0.3 if bend == 0 else 1.0) * SD)
+
+
+def test_what_is_thrown_at_random_into_each_motion_is_not_foreseen_but_doubted() -> None:
+    z = TRUTH + SD * np.random.default_rng(2).standard_normal((100, 2))
+    (calm, energy), (rough, energies) = motions(z, 0.0, 0.1), motions(z, 0.0, 1.0)
+    smooth, rougher = expansion(z, energy, calm), expansion(z, energies, rough)
+    assert smooth is not None and rougher is not None
+    exact = motions(z, 0.0, 0.0)[1]
+    assert np.std(rougher.energy(z) - exact) < 0.7 * np.std(energies - exact)
+    assert rougher.missed.sum() == pytest.approx(30.0, rel=0.5) and smooth.missed.sum() < 1.0
+
+
+def test_a_statistic_with_a_distribution_is_asked_for_beside_those_in_time() -> None:
+    with pytest.raises(InferError, match="joint_motion: compared in time alone"):
+        Problem.of(*bench_rollouts(count=3), statistics=("joint_motion",), timestep=0.01)
+
+
+def test_few_particles_are_no_ground_for_an_expansion() -> None:
+    z = np.random.default_rng(0).standard_normal((5, 2))
+    found, energy = motions(z, 0.0, 0.0)
+    assert expansion(z, energy, found) is None
+    assert expansion(z, np.full(5, np.inf), found) is None
+
+
+def test_noisy_readings_cost_little_where_motions_are_compared_in_time() -> None:
+    """The gain of a servo bench whose readings have 40 times the rig's noise."""
+    model, quiet = bench_rollouts()
+    rng, errors = np.random.default_rng(1), {}
+    noisy = [
+        dataclasses.replace(m, joint_position=m.joint_position + 0.08 * rng.standard_normal(m.joint_position.shape))
+        for m in quiet
+    ]
+    for statistics in (("joint_tracking", "early_response"), ("joint_tracking", "early_response", "joint_motion")):
+        result = infer(
+            Problem.of(model, noisy, statistics=statistics, timestep=0.005), seed=0, particles=40, generations=4
+        )
+        weights = np.exp(result.log_weights)
+        errors[statistics[-1]] = np.abs(weights @ result.unit - BENCH_TRUTH)
+    assert errors["joint_motion"][0] < 0.05
