@@ -6,6 +6,7 @@
 Its figures are what bench/scale_model.py starts from, and one of them is how well that foretells two cores.
 """
 
+import functools
 import os
 import pickle
 import statistics
@@ -190,7 +191,7 @@ def of_weighing(small: Problem) -> dict[str, float]:
     few = small.simulate(np.random.default_rng(1).random((20, len(small.model.names))))
 
     def weighing(count: int) -> float:
-        many = Features(*(np.concatenate([values] * (count // 20)) for values in few))
+        many = functools.reduce(Features.join, [few] * (count // 20))
         state, settings = calibrated.init(len(small.model.names)), calibrated.CalibratedSettings(particles=count)
         rng, spent = np.random.default_rng(2), 0.0
         for _ in range(2):

@@ -6,9 +6,10 @@ second are compared. The divergence is the mean square of their differences over
 for equals, 1 for a simulation that tells as much of the robot as the robot's mean does.
 
 It weighs particles as a normal likelihood would whose variance is what the best particles leave. Of that, what is
-white counts by the number of means, the rest by as many as it is independent of (an autoregression of first order).
-Where rollouts contradict each other alpha falls (`calibration`), as for histograms. U units of rollouts, M particles,
-K statistics.
+white counts by the number of means. The rest is what the model does otherwise than the robot: it counts by as many
+means as it is independent of in time (an autoregression of first order), and is in part the same in all rollouts, so
+that more of them average it less. Where rollouts contradict each other alpha falls (`calibration`), as for histograms.
+U units of rollouts, M particles, K statistics.
 """
 
 import functools
@@ -25,6 +26,9 @@ MEAN_S = 0.1  # of which means are compared: motions are no quicker, and sketche
 SKETCH = 256  # values, at most, that stand for a statistic's differences in a unit
 LAGS = 3  # 0, 1 and 2 means: products of differences so far apart say how much of them is white
 MOST_ALIKE = 0.98  # correlation of neighbours in what is not white: beyond it slow drifts would count for nothing
+# power of the number of rollouts, by which more of them do not average what the model does otherwise than the robot: 0
+# if each has its own, 1 if it is the same in all
+SHARED = 0.5
 AT_A_TIME = 500  # particles whose motions are foreseen
 TINY = np.finfo(float).tiny
 
@@ -50,6 +54,7 @@ class InTime(NamedTuple):
 
     sampled: np.ndarray  # (U, K) means
     variance: np.ndarray  # (K,) of them, each channel about its own mean; positive
+    rollouts: int  # that are compared
 
     def divergences(self, found: Differences, resamples: np.ndarray | None = None) -> np.ndarray:
         """(M, K), or (M, R, K) where (R, U) resamples say how often each unit counts."""
@@ -69,7 +74,7 @@ class InTime(NamedTuple):
         square, next_to, second = (found.sums[particle].sum(axis=0).astype(float) / count[:, None]).T
         alike = np.clip(second / np.maximum(next_to, TINY), 0.0, MOST_ALIKE)
         coloured = np.clip(next_to / np.maximum(alike, TINY), 0.0, square)
-        spread = square - coloured + coloured * (1 + alike) / (1 - alike)
+        spread = square - coloured + coloured * self.rollouts**SHARED * (1 + alike) / (1 - alike)
         return square / self.variance, np.clip(count * square / np.maximum(spread, TINY), 1.0, count)
 
     def motion(self, found: Differences, floor: np.ndarray) -> np.ndarray:
@@ -99,7 +104,7 @@ class InTime(NamedTuple):
         return floor * missed * len(expansion.center) / expansion.particles
 
 
-NOTHING = InTime(np.zeros((0, 0)), np.zeros(0))
+NOTHING = InTime(np.zeros((0, 0)), np.zeros(0), 0)
 
 
 def comparable(
@@ -125,7 +130,8 @@ def comparable(
             kept.append(statistic)
             counts.append(count)
             variances.append(square / count.sum())
-    return tuple(kept), InTime(np.stack(counts, axis=-1), np.array(variances)) if kept else NOTHING
+    rollouts = sum(arrays.count[1] for arrays, again in zip(real, replayed, strict=True) if again)
+    return tuple(kept), InTime(np.stack(counts, axis=-1), np.array(variances), rollouts) if kept else NOTHING
 
 
 def differences(
