@@ -6,6 +6,7 @@ Differs from `paper` in that
   (deterministic-mixture weights), so every simulation ever run counts and iterating does not narrow the posterior;
 - alpha is not a constant: it rises as the effective sample size allows, up to the value that the data support
   (`calibration`);
+- motions that are compared in time are weighed as regression on all particles foresees them (`expansion`);
 - particles live in probit space, so the flat prior's bounds are kept without reflection (`proposal`).
 
     state = init(dimensions, settings)
@@ -129,10 +130,8 @@ def step(
 
 def _expected(rng: np.random.Generator, state: CalibratedState, observed: Observed) -> np.ndarray | None:
     """(n, P) draws from where the posterior is expected, None while nothing can be expected."""
-    alpha, moves = (
-        state.alpha_supported / WIDEN,
-        _expansion(observed, state.features, state.floor, state.energy, state.z),
-    )
+    alpha = state.alpha_supported / WIDEN
+    moves = _expansion(observed, state.features, state.floor, state.energy, state.z)
     if moves is None:
         return expected_draws(rng, state.z, state.energy, alpha, EXPECTED)
     rest = calibration.energy(observed, state.features.divergence, state.floor, in_time=False)
@@ -196,7 +195,8 @@ def _smoothed(
     in_time, histograms = observed.in_time, observed.histograms
     doubt[histograms:] = in_time.doubt(floor[histograms:], moves)
     smooth = in_time.foreseen(features.differences, floor[histograms:], moves, z)
-    divergence = np.concatenate([features.divergence[:, :histograms], in_time.divergences(smooth)], axis=1)
+    foreseen = np.where(features.valid[:, None], in_time.divergences(smooth), 0.0)
+    divergence = np.concatenate([features.divergence[:, :histograms], foreseen], axis=1)
     return features._replace(divergence=divergence, differences=smooth), doubt
 
 

@@ -3,7 +3,7 @@
 An energy is known at the simulated particles alone, and roughly: rollouts with contacts scatter. A Gaussian process
 through the square roots of the lowest ones (roots rise like a distance, about evenly) says what to expect elsewhere
 (Wilkinson 2014, Accelerating ABC methods using Gaussian processes). It is used to propose only: weights come from
-simulations, so a poor fit costs particles and no honesty.
+simulations, so a poor fit costs particles and no honesty. Of what is compared in time an `Expansion` says more.
 """
 
 from typing import NamedTuple
