@@ -24,7 +24,7 @@ from tcbi_contract.names import CONTROL_PERIOD_S
 from tcbi_infer.baselines.trajectory import observe, trajectories
 from tcbi_infer.statistics import RolloutArrays
 from tcbi_infer.tcbi.driver import infer
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import Problem, Simulated
 
 POPULATION = 50  # of pyABC, and particles of TCBI
 ROUND = 100  # simulations of a round of sbi
@@ -70,7 +70,8 @@ def with_pyabc(problem: Problem, seed: int, budget_s: float) -> list[Belief]:
     prior = pyabc.Distribution(**{name: pyabc.RV("uniform", 0, 1) for name in names})
     sampler = pyabc.MulticoreEvalParallelSampler(n_procs=PROCESSES)
     search = pyabc.ABCSMC(model, prior, pyabc.AdaptivePNormDistance(p=2), POPULATION, sampler=sampler)
-    seen = states(problem, [group.arrays for group in problem.groups], np.ones(1, bool)).values[0]
+    measured = [group.arrays for group in problem.groups]
+    seen = states(problem, Simulated(measured, measured, np.ones(1, bool))).values[0]
     beliefs: list[Belief] = []
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(sys.stderr):
         search.new(f"sqlite:///{Path(folder) / 'abc.db'}", {"state": np.nan_to_num(seen)})
@@ -155,12 +156,12 @@ class States(NamedTuple):
         return States(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
-def states(problem: Problem, rollouts: list[RolloutArrays], valid: np.ndarray) -> States:
+def states(problem: Problem, simulated: Simulated) -> States:
     """The view of `Problem.simulate` for pyABC."""
     period = max(1, round(CONTROL_PERIOD_S * problem.rate))
-    parts = [part[:, :, ::period] for arrays in rollouts for part in _measured(arrays)]
+    parts = [part[:, :, ::period] for arrays in simulated.readings for part in _measured(arrays)]
     values = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
-    return States(np.nan_to_num(values), valid)
+    return States(np.nan_to_num(values), simulated.valid)
 
 
 def _measured(arrays: RolloutArrays) -> Iterator[np.ndarray]:

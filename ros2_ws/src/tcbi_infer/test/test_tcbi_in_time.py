@@ -9,7 +9,7 @@ from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
 from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import library
 from tcbi_infer.tcbi.driver import infer
-from tcbi_infer.tcbi.expansion import expansion
+from tcbi_infer.tcbi.expansion import Expansion, expansion, nearest
 from tcbi_infer.tcbi.in_time import SKETCH, comparable, differences, no_differences
 from tcbi_infer.tcbi.problem import Problem, histogram_features
 from tcbi_sim.model import base_model
@@ -32,10 +32,16 @@ def motions(z: np.ndarray, bend: float, noise: float, seed: int = 0) -> tuple[np
     return found, (found**2).sum(axis=1)
 
 
+def regressed(z: np.ndarray, energy: np.ndarray, motion: np.ndarray) -> Expansion:
+    near = nearest(energy, z.shape[1])
+    assert near is not None
+    return expansion(z[near], motion[near])
+
+
 def test_the_divergence_is_the_mean_square_over_the_variance_and_zero_for_equals(problem: Problem) -> None:
     statistics, groups = [library()["joint_motion"]], [g.arrays for g in problem.groups]
-    kept, real = comparable(statistics, groups, [True], 2)
-    assert [s.name for s in kept] == ["joint_motion"] and real.sampled.shape == (16, 1)
+    kept, real, _ = comparable(statistics, groups, [True], 2)
+    assert [s.name for s in kept] == ["joint_motion"] and real.means.shape == (16, 1)
     assert real.divergences(differences(kept, groups, groups, [True], 2)) == pytest.approx(0.0)
     mean = [
         dataclasses.replace(g, joint_position=np.full_like(g.joint_position, g.joint_position.mean())) for g in groups
@@ -48,9 +54,9 @@ def test_resamples_pool_their_units_and_units_that_nothing_is_compared_in_change
     moved = dataclasses.replace(
         group, joint_position=group.joint_position + np.linspace(0, 0.1, 8)[None, :, None, None]
     )
-    kept, real = comparable(statistics, [group, group], [True, False], 1)
+    kept, real, _ = comparable(statistics, [group, group], [True, False], 1)
     found = differences(kept, [group, group], [moved, moved], [True, False], 1)
-    assert np.all(real.sampled[8:] == 0) and np.all(found.sums[:, 8:] == 0) and np.all(found.sketch[:, 8:] == 0)
+    assert np.all(real.means[8:] == 0) and np.all(found.sums[:, 8:] == 0) and np.all(found.sketch[:, 8:] == 0)
     first = np.eye(16)[[1, 7]]
     expected = np.linspace(0, 0.1, 8)[[1, 7]] ** 2 / real.variance
     assert real.divergences(found, first)[0, :, 0] == pytest.approx(expected, rel=1e-4)
@@ -64,13 +70,47 @@ def test_a_sketch_keeps_inner_products_about(problem: Problem) -> None:
     assert found.sketch.shape[-1] == SKETCH and short == pytest.approx(exact, rel=0.25)
 
 
+def test_motions_that_are_foreseen_without_an_error_change_no_energy(problem: Problem) -> None:
+    """Sketches of noise are not quite as long as the noise; what all particles share of that must cancel."""
+    statistics, (group,) = [library()["joint_motion"]], [g.arrays for g in problem.groups]
+    noise = 0.1 * np.random.default_rng(0).standard_normal(group.joint_position.shape)
+    z = np.random.default_rng(1).standard_normal((20, 1))
+    moved = dataclasses.replace(
+        group, joint_position=group.joint_position + noise + 0.1 * z[:, :, None, None] * np.sin(9 * group.time)[:, None]
+    )
+    kept, real, _ = comparable(statistics, [group], [True], 1)
+    found, floor = differences(kept, [group], [moved], [True], 1), np.ones(1)
+    moves = expansion(z, real.motion(found, floor))
+    assert moves.order == 1 or np.abs(moves.coefficients[2]).max() < 1e-6
+    assert real.foreseen(found, floor, moves, z).sums == pytest.approx(found.sums, rel=1e-3)
+
+
+def test_what_is_the_same_throughout_a_rollout_counts_by_few_means(problem: Problem) -> None:
+    statistics, (group,) = [library()["joint_motion"]], [g.arrays for g in problem.groups]
+    kept, real, _ = comparable(statistics, [group], [True], 1)
+    white = 0.1 * np.random.default_rng(0).standard_normal(group.joint_position.shape)
+    free = {}
+    for name, apart in (("white", white), ("off", np.full_like(white, 0.1))):
+        moved = dataclasses.replace(group, joint_position=group.joint_position + apart)
+        free[name] = real.noise(differences(kept, [group], [moved], [True], 1), 0)[1][0] / real.means.sum()
+    assert free["white"] > 0.7 and free["off"] < 0.02
+
+
+def test_a_statistic_without_a_sample_at_each_time_cannot_be_compared_in_time(problem: Problem) -> None:
+    sparse = dataclasses.replace(library()["early_response"], in_time=True)
+    with pytest.raises(
+        InferError, match=r"early_response is compared in time, so .* at each of \d+ times"
+    ):
+        comparable([sparse], [g.arrays for g in problem.groups], [True], 1)
+
+
 def test_where_a_policy_acts_nothing_is_compared_in_time() -> None:
     walking = hexapod_rollouts("balance", "gait:tripod")
     acting = Problem.of(base_model("hexapod"), walking, loop="acting", timestep=0.01)
     replayed = Problem.of(base_model("hexapod"), walking, loop="open", timestep=0.01)
     only = Problem.of(base_model("hexapod"), hexapod_rollouts("balance"), loop="acting", timestep=0.01)
     assert {"joint_motion", "body_motion"} <= set(acting.observed.statistics)
-    assert np.sum(acting.observed.in_time.sampled > 0) == np.sum(replayed.observed.in_time.sampled > 0) / 2
+    assert np.sum(acting.observed.in_time.means > 0) == np.sum(replayed.observed.in_time.means > 0) / 2
     assert not {"joint_motion", "body_motion"} & set(only.observed.statistics)
     assert only.simulate(np.full((2, 3), 0.5)).differences.sums.shape == no_differences(2).sums.shape
 
@@ -79,8 +119,8 @@ def test_where_a_policy_acts_nothing_is_compared_in_time() -> None:
 def test_motions_say_where_they_vanish_from_particles_far_away(bend: float, order: int) -> None:
     z = TRUTH + 4 * SD + 3 * SD * np.random.default_rng(2).standard_normal((60, 2))
     found, energy = motions(z, bend, 0.1)
-    moves = expansion(z, energy, found)
-    assert moves is not None and moves.order >= order
+    moves = regressed(z, energy, found)
+    assert moves.order >= order
     grid = TRUTH + SD * np.stack(np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-3, 3, 61)), -1).reshape(-1, 2)
     assert np.all(np.abs(grid[np.argmin(moves.energy(grid))] - TRUTH) < (0.3 if bend == 0 else 1.0) * SD)
 
@@ -88,8 +128,7 @@ def test_motions_say_where_they_vanish_from_particles_far_away(bend: float, orde
 def test_what_is_thrown_at_random_into_each_motion_is_not_foreseen_but_doubted() -> None:
     z = TRUTH + SD * np.random.default_rng(2).standard_normal((100, 2))
     (calm, energy), (rough, energies) = motions(z, 0.0, 0.1), motions(z, 0.0, 1.0)
-    smooth, rougher = expansion(z, energy, calm), expansion(z, energies, rough)
-    assert smooth is not None and rougher is not None
+    smooth, rougher = regressed(z, energy, calm), regressed(z, energies, rough)
     exact = motions(z, 0.0, 0.0)[1]
     assert np.std(rougher.energy(z) - exact) < 0.7 * np.std(energies - exact)
     assert rougher.missed.sum() == pytest.approx(30.0, rel=0.5) and smooth.missed.sum() < 1.0
@@ -102,9 +141,8 @@ def test_a_statistic_with_a_distribution_is_asked_for_beside_those_in_time() -> 
 
 def test_few_particles_are_no_ground_for_an_expansion() -> None:
     z = np.random.default_rng(0).standard_normal((5, 2))
-    found, energy = motions(z, 0.0, 0.0)
-    assert expansion(z, energy, found) is None
-    assert expansion(z, np.full(5, np.inf), found) is None
+    assert nearest(motions(z, 0.0, 0.0)[1], 2) is None
+    assert nearest(np.r_[np.ones(5), np.full(40, np.inf)], 2) is None
 
 
 def test_noisy_readings_cost_little_where_motions_are_compared_in_time() -> None:

@@ -6,7 +6,7 @@ Differs from `paper` in that
   (deterministic-mixture weights), so every simulation ever run counts and iterating does not narrow the posterior;
 - alpha is not a constant: it rises as the effective sample size allows, up to the value that the data support
   (`calibration`);
-- motions that are compared in time are weighed as regression on all particles foresees them (`expansion`);
+- motions that are compared in time are weighed as regression on the nearest particles foresees them (`expansion`);
 - particles live in probit space, so the flat prior's bounds are kept without reflection (`proposal`).
 
     state = init(dimensions, settings)
@@ -24,7 +24,7 @@ from tcbi_contract.errors import describe
 from tcbi_infer.errors import SettingError
 from tcbi_infer.tcbi import calibration
 from tcbi_infer.tcbi.emulator import expected_draws
-from tcbi_infer.tcbi.expansion import Expansion, expansion
+from tcbi_infer.tcbi.expansion import Expansion, expansion, nearest
 from tcbi_infer.tcbi.features import Features, Observed, weighable
 from tcbi_infer.tcbi.in_time import no_differences
 from tcbi_infer.tcbi.proposal import (
@@ -76,9 +76,7 @@ class CalibratedInfo(NamedTuple):
     alpha_supported: float
     floor_noise: np.ndarray  # (statistics,) mean over channels
     floor_misfit: np.ndarray  # (statistics,)
-    misfit: (
-        np.ndarray
-    )  # (C + K,) of each channel, over its noise, or over the mean of its statistic's where that is more
+    misfit: np.ndarray  # (C + K,) over the channel's noise, or its statistic's mean of that where it is more
     best: np.ndarray  # (n, P) the particles that fit best, in the cube where the prior is uniform
 
 
@@ -204,9 +202,11 @@ def _expansion(
     observed: Observed, features: Features, floor: np.ndarray, energy: np.ndarray, z: np.ndarray
 ) -> Expansion | None:
     """Of the motions; None where nothing is compared in time, or the particles are too few."""
-    if not observed.in_time.variance.size:
+    near = nearest(energy, z.shape[1]) if observed.in_time.variance.size else None
+    if near is None:
         return None
-    return expansion(z, energy, observed.in_time.motion(features.differences, floor[observed.histograms :]))
+    motion = observed.in_time.motion(features.differences.only(near), floor[observed.histograms :])
+    return expansion(z[near], motion)
 
 
 def _steady(before: CalibratedState, z: np.ndarray, weights: np.ndarray) -> bool:

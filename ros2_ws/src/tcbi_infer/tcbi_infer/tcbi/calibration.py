@@ -1,13 +1,15 @@
 """How sharply divergences may weigh particles: their noise floors, and alpha.
 
 The pseudo-likelihood of a particle is exp(-alpha E), where the energy E sums over statistics the mean over channels of
-divergence / floor. Three things decide:
+divergence / floor. Four things decide:
 
 - *Noise.* Part of a channel's divergence remains with the right parameters, because rollouts are few. How the residuals
   differ between rollouts says how much (`pooled`). It is spread over some degrees of freedom, for `js` the bins in use;
   a right likelihood falls by 1/2 when a divergence rises by one degree's share, hence `LARGEST_ALPHA` = 1/2.
 - *Misfit.* What the best particles cannot remove beyond the noise is systematic and shared by all rollouts, so nothing
   averages it: it counts in full. A model that does not fit thus widens its own posterior.
+- *In time.* Of what is compared in time (`in_time`) all that the best particles leave is noise, spread over as many
+  degrees of freedom as it has independent means; what regression misses is added.
 - *Rollouts.* What would other rollouts have said? The real ones are resampled with replacement (and with them the
   simulations of the same scenarios: they are paired). The posterior mean moves from resample to resample; alpha is the
   largest at which it moves no more than the posterior is wide (general posterior calibration, Syring and Martin 2019).
@@ -19,7 +21,6 @@ import numpy as np
 
 from tcbi_infer.errors import InferError
 from tcbi_infer.tcbi.features import Features, Observed, not_finite, resampled_divergences
-from tcbi_infer.tcbi.in_time import Differences
 from tcbi_infer.tcbi.weights import mean_and_variance, normalised
 
 LARGEST_ALPHA = 0.5
@@ -106,7 +107,7 @@ def calibrate(
     few = min(len(order), observed.measure.particles)  # evenly: the best alone would be narrower than the posterior
     order = order[np.linspace(0, len(order) - 1, few).round().astype(int)]
     counts, z, log_base, full = simulated.counts[order], z[order], log_base[order], full[order]
-    differences = Differences(*(part[order] for part in simulated.differences))
+    differences = simulated.differences.only(order)
     units = len(observed.counts)
     resampled = rng.multinomial(units, np.full(units, 1 / units), size=RESAMPLES)
     divergence = resampled_divergences(observed, counts, resampled)

@@ -44,26 +44,27 @@ class Expansion(NamedTuple):
         return _terms((z - self.center) / self.scale, self.order)
 
 
-def expansion(z: np.ndarray, energy: np.ndarray, motion: np.ndarray) -> Expansion | None:
-    """Regress the motions; None while the particles are too few.
-
-    Args:
-      z: (M, P) particles in probit space.
-      energy: (M,) theirs; inf where the simulation diverged.
-      motion: (M, D) what they differ from the robot by; the sum of a row's squares is its part of the energy.
-    """
-    usable = np.flatnonzero(np.isfinite(energy))
-    fewest = PER_TERM * (z.shape[1] + 1)
+def nearest(energy: np.ndarray, dimensions: int) -> np.ndarray | None:
+    """Indices of the particles to regress, by (M,) energies that are inf where one diverged; None while too few."""
+    usable, fewest = np.flatnonzero(np.isfinite(energy)), PER_TERM * (dimensions + 1)
     if len(usable) < fewest:
         return None
     count = min(max(fewest, FEWEST, int(SHARE * len(usable))), MOST)
-    near = usable[np.argsort(energy[usable], kind="stable")[:count]]
-    x, y = z[near], motion[near].astype(float)
-    center, scale = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-6)
-    tried = [_fit((x - center) / scale, y, order) for order in (1, 2)]
+    return usable[np.argsort(energy[usable], kind="stable")[:count]]
+
+
+def expansion(z: np.ndarray, motion: np.ndarray) -> Expansion:
+    """Regress the motions of the nearest particles.
+
+    Args:
+      z: (N, P) particles in probit space, at least `PER_TERM` for each of P + 1 terms.
+      motion: (N, D) what they differ from the robot by; the sum of a row's squares is its part of the energy.
+    """
+    center, scale = z.mean(axis=0), np.maximum(z.std(axis=0), 1e-6)
+    tried = [_fit((z - center) / scale, motion.astype(float), order) for order in (1, 2)]
     fits = [(order, *fit) for order, fit in enumerate(tried, 1) if fit]
     order, coefficients, missed = min(fits, key=lambda fit: fit[2].sum())
-    return Expansion(center, scale, order, coefficients, missed, len(near))
+    return Expansion(center, scale, order, coefficients, missed, len(z))
 
 
 def _fit(x: np.ndarray, y: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray] | None:

@@ -7,8 +7,9 @@ for equals, 1 for a simulation that tells as much of the robot as the robot's me
 
 It weighs particles as a normal likelihood would whose variance is what the best particles leave. Of that, what is
 white counts by the number of means. The rest is what the model does otherwise than the robot: it counts by as many
-means as it is independent of in time (an autoregression of first order), and is in part the same in all rollouts, so
-that more of them average it less. Where rollouts contradict each other alpha falls (`calibration`), as for histograms.
+means as it is independent of in time (an autoregression of first order; channels count as independent), and is in part
+the same in all rollouts, so that more of them average it less. Where rollouts contradict each other alpha falls
+(`calibration`), as for histograms. That motions cannot be reproduced is not told here, but by `predictive`.
 U units of rollouts, M particles, K statistics.
 """
 
@@ -19,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
+from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, Statistic, samples
 from tcbi_infer.tcbi.expansion import Expansion
 
@@ -43,6 +45,10 @@ class Differences(NamedTuple):
         """Both sets of particles, these first."""
         return Differences(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
+    def only(self, particles: slice | np.ndarray) -> "Differences":
+        """Of some of the particles."""
+        return Differences(self.sums[particles], self.sketch[particles])
+
 
 def no_differences(count: int) -> Differences:
     """Of so many particles, where nothing is compared in time."""
@@ -52,86 +58,104 @@ def no_differences(count: int) -> Differences:
 class InTime(NamedTuple):
     """What the real rollouts have of such statistics."""
 
-    sampled: np.ndarray  # (U, K) means
+    pairs: np.ndarray  # (U, K, LAGS) of means so far apart, those with themselves first
     variance: np.ndarray  # (K,) of them, each channel about its own mean; positive
     rollouts: int  # that are compared
+
+    @property
+    def means(self) -> np.ndarray:
+        """(U, K) how many."""
+        return self.pairs[..., 0]
 
     def divergences(self, found: Differences, resamples: np.ndarray | None = None) -> np.ndarray:
         """(M, K), or (M, R, K) where (R, U) resamples say how often each unit counts."""
         rows = 1 if resamples is None else len(resamples)
         if not self.variance.size:
             return np.zeros((len(found.sums), 0) if resamples is None else (len(found.sums), rows, 0))
-        often = np.ones((1, len(self.sampled))) if resamples is None else resamples.astype(float)
+        often = np.ones((1, len(self.pairs))) if resamples is None else resamples.astype(float)
         squares = np.einsum("ru,muk->mrk", often, found.sums[..., 0])
-        divergence = squares / np.maximum((often @ self.sampled) * self.variance, TINY)
+        divergence = squares / np.maximum((often @ self.means) * self.variance, TINY)
         return divergence[:, 0] if resamples is None else divergence
 
     def noise(self, found: Differences, particle: int) -> tuple[np.ndarray, np.ndarray]:
         """(K,) divergence of a particle that is right, and (K,) degrees of freedom that it is spread over."""
         if not self.variance.size:
             return np.zeros(0), np.zeros(0)
-        count = self.sampled.sum(axis=0)
-        square, next_to, second = (found.sums[particle].sum(axis=0).astype(float) / count[:, None]).T
+        pairs = self.pairs.sum(axis=0)
+        square, next_to, second = (found.sums[particle].sum(axis=0).astype(float) / np.maximum(pairs, 1)).T
         alike = np.clip(second / np.maximum(next_to, TINY), 0.0, MOST_ALIKE)
         coloured = np.clip(next_to / np.maximum(alike, TINY), 0.0, square)
+        coloured, count = np.where(pairs[:, -1] > 0, coloured, square), pairs[:, 0]
         spread = square - coloured + coloured * self.rollouts**SHARED * (1 + alike) / (1 - alike)
         return square / self.variance, np.clip(count * square / np.maximum(spread, TINY), 1.0, count)
 
     def motion(self, found: Differences, floor: np.ndarray) -> np.ndarray:
         """(M, U * K * SKETCH) differences by (K,) floors: the sum of a row's squares is about its energy."""
-        scale = floor * self.variance * self.sampled.sum(axis=0)
-        return (found.sketch / np.sqrt(scale)[:, None]).reshape(len(found.sketch), -1)
+        return (found.sketch / np.sqrt(self._scale(floor))[:, None]).reshape(len(found.sketch), -1)
 
     def foreseen(self, found: Differences, floor: np.ndarray, expansion: Expansion, z: np.ndarray) -> Differences:
         """The same with squares as an expansion of (M, P) particles' motions has them, where it foresees their motion.
 
         What contacts throw at random into one simulation is not in them: particles near each other weigh alike.
         """
-        motion, squares = self.motion(found, floor), found.sums[..., 0].copy()
-        scale = floor * self.variance * self.sampled.sum(axis=0)
+        sums = found.sums.copy()
         for begin in range(0, len(z), AT_A_TIME):
             part = slice(begin, begin + AT_A_TIME)
-            expected = expansion.motion(z[part])
-            known = expansion.foresees(expected, motion[part])
-            by_unit = (expected.reshape(-1, *found.sketch.shape[1:]) ** 2).sum(axis=-1) * scale
-            squares[part] = np.where(known[:, None, None], by_unit, squares[part])
-        share = squares / np.maximum(found.sums[..., 0], TINY)
-        return found._replace(sums=found.sums * share[..., None])
+            expected, motion = expansion.motion(z[part]), self.motion(found.only(part), floor)
+            known = expansion.foresees(expected, motion)
+            more = (expected**2 - motion**2).reshape(-1, *found.sketch.shape[1:]).sum(axis=-1) * self._scale(floor)
+            squares = found.sums[part, ..., 0]
+            share = np.maximum(1 + more / np.where(squares > 0, squares, np.inf), 0.0)
+            sums[part] = np.where(known[:, None, None, None], share[..., None] * sums[part], sums[part])
+        return found._replace(sums=sums)
 
     def doubt(self, floor: np.ndarray, expansion: Expansion) -> np.ndarray:
         """(K,) divergence as large as an expansion's own error: what it misses, over particles for each parameter."""
-        missed = expansion.missed.reshape(len(self.sampled), -1, SKETCH).sum(axis=(0, 2))
+        missed = expansion.missed.reshape(len(self.pairs), -1, SKETCH).sum(axis=(0, 2))
         return floor * missed * len(expansion.center) / expansion.particles
 
+    def _scale(self, floor: np.ndarray) -> np.ndarray:
+        """(K,) sum of squares that is an energy of 1."""
+        return floor * self.variance * self.means.sum(axis=0)
 
-NOTHING = InTime(np.zeros((0, 0)), np.zeros(0), 0)
+
+NOTHING = InTime(np.zeros((0, 0, LAGS)), np.zeros(0), 0)
 
 
 def comparable(
     statistics: Sequence[Statistic], real: Sequence[RolloutArrays], replayed: Sequence[bool], blocks: int
-) -> tuple[tuple[Statistic, ...], InTime]:
-    """Which of the statistics can be compared in time, and what the real rollouts have of them.
+) -> tuple[tuple[Statistic, ...], InTime, list[str]]:
+    """Which of the statistics can be compared in time, what the real rollouts have of them, and lines on the others.
 
     Args:
       statistics: to compare.
       real: the groups of rollouts.
       replayed: of each group, whether simulations are given the recorded commands.
       blocks: that each rollout is cut into.
+
+    Raises:
+      InferError: a statistic has no sample at each time.
     """
-    kept, counts, variances = [], [], []
+    kept, counts, variances, lines = [], [], [], []
     for statistic in statistics:
         values = [
-            np.where(again, _means(samples(statistic, arrays), arrays), np.nan)
+            np.where(again, _means(_samples(statistic, arrays), arrays), np.nan)
             for arrays, again in zip(real, replayed, strict=True)
         ]
-        count = np.concatenate([_in_blocks(np.isfinite(v).astype(float), blocks) for v in values], axis=1)[0]
+        known = [np.isfinite(v).astype(float) for v in values]
+        count = np.concatenate([_at_lags(k, blocks) for k in known], axis=1)[0]
         square = sum(float(np.nansum((v - _mean(v)) ** 2)) for v in values)
         if square > 0:
             kept.append(statistic)
             counts.append(count)
-            variances.append(square / count.sum())
+            variances.append(square / count[:, 0].sum())
+        elif any(replayed):
+            lines.append(
+                f"statistic {statistic.name} left out: the rollouts are too short, or it never changes in them"
+            )
     rollouts = sum(arrays.count[1] for arrays, again in zip(real, replayed, strict=True) if again)
-    return tuple(kept), InTime(np.stack(counts, axis=-1), np.array(variances), rollouts) if kept else NOTHING
+    found = InTime(np.stack(counts, axis=1), np.array(variances), rollouts) if kept else NOTHING
+    return tuple(kept), found, lines
 
 
 def differences(
@@ -163,16 +187,26 @@ def differences(
                 rows.append(np.zeros((particles, units, LAGS)))
                 sketch.append(np.zeros((particles, units, SKETCH)))
                 continue
-            there = samples(statistic, measured)
+            there = _samples(statistic, measured)
             measured_at = np.isfinite(there)
-            apart = np.where(measured_at, samples(statistic, arrays) - there, 0.0)
+            apart = np.where(measured_at, _samples(statistic, arrays) - there, 0.0)
             share = _means(measured_at.astype(float), arrays)
             apart = _means(apart, arrays) / np.where(share > 0, share, 1.0)
-            rows.append(np.stack([_in_blocks(_products(apart, lag), blocks) for lag in range(LAGS)], axis=-1))
+            rows.append(_at_lags(apart, blocks))
             sketch.append(_sketched(apart, blocks))
         sums.append(np.concatenate(rows, axis=1))
         sketches.append(np.concatenate(sketch, axis=1))
     return Differences(np.stack(sums, axis=2).astype(np.float32), np.stack(sketches, axis=2).astype(np.float32))
+
+
+def _samples(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
+    values = samples(statistic, arrays)
+    if values.shape[-1] != len(arrays.time):
+        raise InferError(
+            f"statistic {statistic.name} is compared in time, so it must have a sample at each of {len(arrays.time)} "
+            f"times; it gave {values.shape[-1]}"
+        )
+    return values
 
 
 def _means(values: np.ndarray, arrays: RolloutArrays) -> np.ndarray:
@@ -185,11 +219,14 @@ def _means(values: np.ndarray, arrays: RolloutArrays) -> np.ndarray:
     return np.where(count > 0, np.where(known, split, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
 
 
-def _products(values: np.ndarray, lag: int) -> np.ndarray:
-    """(N, S, C, K) samples -> the same of each with the one so many samples before, 0 where there is none."""
-    found = np.zeros_like(values)
-    found[..., lag:] = values[..., lag:] * values[..., : values.shape[-1] - lag]
-    return found
+def _at_lags(values: np.ndarray, blocks: int) -> np.ndarray:
+    """(N, S, C, K) means -> (N, S * blocks, LAGS) sums of products of those so far apart."""
+    sums = []
+    for lag in range(LAGS):
+        products = np.zeros_like(values)
+        products[..., lag:] = values[..., lag:] * values[..., : max(values.shape[-1] - lag, 0)]
+        sums.append(_in_blocks(products, blocks))
+    return np.stack(sums, axis=-1)
 
 
 def _sketched(values: np.ndarray, blocks: int) -> np.ndarray:

@@ -138,7 +138,7 @@ class Problem:
         kept, left_out = _common(statistics, groups)
         blocks = blocks_for(len(usable))
         acting = tuple(controllers.get(g.measurements[0].policy_id) for g in groups)
-        followed, in_time = comparable(
+        followed, in_time, not_followed = comparable(
             [s for s in kept if s.in_time], [g.recorded for g in groups], [c is None for c in acting], blocks
         )
         if all(s.in_time for s in kept):
@@ -167,7 +167,7 @@ class Problem:
             pooled_divergence(divergence_name, binnings, counts),
             in_time,
         )
-        odd = (*left_out, *oddities(names, used, values, observed))
+        odd = (*left_out, *not_followed, *oddities(names, used, values, observed))
         return cls(
             model, tuple(groups), acting, kept, followed, observed,
             binnings, tuple(values[i] for i in used), blocks, noise,

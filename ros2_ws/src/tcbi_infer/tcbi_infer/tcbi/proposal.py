@@ -15,7 +15,7 @@ from tcbi_infer.tcbi.weights import effective_sample_size, resample
 
 EDGE = 1e-7  # closest a particle comes to its bounds, in shares of the range
 INFLATION = 1.5  # on the kernel's standard deviation: a proposal should be wider than its target
-NEIGHBOURS = 10.0  # of an expected point, that its kernel spans at least
+NEIGHBOURS = 10.0  # of an expected point, that its kernel spans, about, at most
 LEAST_SD = 0.005  # of a kernel, in probit units
 PAIRS = 2**22  # of particle and kernel held at a time
 
