@@ -98,9 +98,7 @@ def test_what_is_the_same_throughout_a_rollout_counts_by_few_means(problem: Prob
 
 def test_a_statistic_without_a_sample_at_each_time_cannot_be_compared_in_time(problem: Problem) -> None:
     sparse = dataclasses.replace(library()["early_response"], in_time=True)
-    with pytest.raises(
-        InferError, match=r"early_response is compared in time, so .* at each of \d+ times"
-    ):
+    with pytest.raises(InferError, match=r"early_response is compared in time, so .* at each of \d+ times"):
         comparable([sparse], [g.arrays for g in problem.groups], [True], 1)
 
 
