@@ -63,7 +63,7 @@ def test_a_versions_prior_excludes_the_data_where_the_best_lie_beyond_what_it_ex
     assert best_at(0.3, 0.4, prior=(0.31, 0.41)) == []
     (line,) = best_at(0.3, 0.4, prior=(0.3, 0.6))
     assert line.startswith("the prior of mass seems to exclude the data: what fits best has 0.9 kg, where the prior")
-    assert line.endswith("expects 1.08 to 1.12 kg (90%), and fits poorly; take the flat prior, or an effect is missing")
+    assert line.endswith("expects 1.08 to 1.12 kg (90%); take the flat prior, or an effect is missing")
 
 
 def test_a_versions_prior_that_knows_an_effect_excludes_its_absence_and_one_that_reaches_to_it_does_not() -> None:

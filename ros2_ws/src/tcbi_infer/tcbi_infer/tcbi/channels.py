@@ -9,6 +9,7 @@ from tcbi_infer.tcbi.features import Observed, binned
 # of a channel: with fewer the histogram of a right model may lie 6 to 11 times as far off as their scatter suggests (a
 # simulation of such draws), and be taken for a wrong one; with 5 at most 3 times
 LEAST_SAMPLES = 5
+SILENT = f"with fewer than {LEAST_SAMPLES} samples, left out"
 CROWDED = 0.9  # share of a channel's samples in one bin, from which it is said
 
 
@@ -70,7 +71,7 @@ def oddities(names: list[str], used: list[int], samples: list[np.ndarray], obser
     shares = zip(used, counts.max(axis=-1) / counts.sum(axis=-1), strict=True)
     crowded = [f"{names[i]} ({share:.1%})" for i, share in shares if CROWDED < share < 1]
     found = (
-        (f"with fewer than {LEAST_SAMPLES} samples, left out", silent),
+        (SILENT, silent),
         ("the same in every sample, so it tells little", constant),
         (f"nearly all samples lie in one of {counts.shape[-1]} bins, so it tells little", crowded),
     )

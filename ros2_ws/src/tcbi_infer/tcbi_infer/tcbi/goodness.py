@@ -79,14 +79,16 @@ def goodness_of_fit(
         for end in _ends(parameters, unit, log_weights, last)
         if not end.null and (end.share > PILED or end.best)
     }
-    bounds = list((ends | outside | ({} if prior is None else _beyond(parameters, last, prior))).values())
+    beyond, excluded = ({}, []) if prior is None else _beyond(parameters, last, prior)
+    bounds = list((ends | outside | beyond).values())
     poor = {name: ratio for name, ratio in ratios.items() if ratio > POOR}
     large = {name: ratio for name, ratio in ratios.items() if ratio > MISFIT} | _worst_channels(single, ratios)
     far = departed.far if departed else {}
     stays_poor = bool(poor.keys() - falling)
     if len(bounds) > 1:
         bounds.append(PUSHED)
-    lines = list(bounds) if stays_poor else []
+    told = stays_poor or bool(excluded)
+    lines = list(bounds) if told else []
     lines += [
         f"no parameters reproduce {name}: what remains of its divergence is {ratio:.0f} times what rollouts differ by; "
         f"{WIDENED}"
@@ -97,7 +99,7 @@ def goodness_of_fit(
     if untold and not lines:
         return GoodnessOfFit([UNTOLD.format(", ".join(untold))], None, 1.0)
     distrust = worst_misfit(last) if lines else 1.0
-    lines = [*(bounds if far and not stays_poor else []), *lines]
+    lines = [*(bounds if far and not told else []), *lines]
     lines += [
         f"no parameters reproduce {name} in time: predictions with the best of them miss the robot's by "
         f"{math.degrees(d.error):.2g} deg, {d.missed:.1f} times as much as each other's; {WIDENED}"
@@ -140,9 +142,12 @@ def _outside(parameters: Sequence[Parameter], nearest: Sequence[float]) -> dict[
     return lines
 
 
-def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> dict[str, str]:
-    """A line for each parameter whose best values mostly lie beyond what draws (N, P) of the prior lead to expect."""
-    best, lines = np.asarray(last.notes.get("best", [])), {}
+def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray) -> tuple[dict[str, str], list[str]]:
+    """A line for each parameter whose best values mostly lie beyond what draws (N, P) of the prior lead to expect.
+
+    And which of them lie beyond every draw, which no good fit makes up for.
+    """
+    best, lines, excluded = np.asarray(last.notes.get("best", [])), {}, []
     low, high = np.quantile(prior, [UNLIKELY, 1 - UNLIKELY], axis=0)
     for i, p in enumerate(parameters if len(best) else ()):
         # a prior that reaches to the null value has the effect absent among what it expects
@@ -153,10 +158,12 @@ def _beyond(parameters: Sequence[Parameter], last: Generation, prior: np.ndarray
             found, least, most = (f"{p.from_unit(unit):.3g}" for unit in (middle, low[i], high[i]))
             lines[p.name] = (
                 f"the prior of {p.name} seems to exclude the data: what fits best has {found}{_unit(p)}, where the "
-                f"prior expects {least} to {most}{_unit(p)} ({1 - 2 * UNLIKELY:.0%}), and fits poorly; take the flat "
-                "prior, or an effect is missing"
+                f"prior expects {least} to {most}{_unit(p)} ({1 - 2 * UNLIKELY:.0%}); take the flat prior, or an "
+                "effect is missing"
             )
-    return lines
+            if not prior[:, i].min() <= middle <= prior[:, i].max():
+                excluded.append(p.name)
+    return lines, excluded
 
 
 def _unit(parameter: Parameter) -> str:
