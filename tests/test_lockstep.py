@@ -282,8 +282,14 @@ def test_an_emergency_stop_takes_the_torque_off_until_release_and_reset(start_gr
     policy.tick()
     peer.wait_until(lambda: policy.now >= policy.start + 10 * WINDOW, "two seconds of refused commands")
     policy.enabled = False
-    height = [pose.pose.position.z for pose in policy.poses()]
-    assert min(height) < height[0] - 0.02
+
+    def heights() -> list[float]:
+        return [pose.pose.position.z for pose in policy.poses()]
+
+    peer.wait_until(
+        lambda: min(heights()) < heights()[0] - 0.02, "poses of a robot that sinks, some still on their way"
+    )
+    height = heights()
     said = [deserialize_message(m, DiagnosticArray) for m in policy.raw[names.DIAGNOSTICS]]
     values = {
         v.key: v.value for d in said if nanoseconds(d.header.stamp) == policy.start + SECOND for v in d.status[0].values
