@@ -58,7 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--statistics",
-        help="commas; instead of the method's own (`--method paper` with `reward` is the ablation); +NAME adds to them",
+        help="commas; instead of the method's own (`--method paper` with `reward` is the ablation); +NAME adds to "
+        "them; joint_motion and body_motion are compared in time, not as distributions",
     )
     parser.add_argument(
         "--divergence", default="js", help="of TCBI: js (default), js_nearest, wasserstein, mmd, or one of your own"

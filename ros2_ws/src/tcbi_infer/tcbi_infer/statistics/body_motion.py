@@ -1,13 +1,9 @@
 """Body attitude in time: roll and pitch."""
 
-from tcbi_infer.statistics.base import Statistic
+import dataclasses
 
-STATISTIC = Statistic(
-    name="body_motion",
-    unit="rad",
-    description="roll and pitch of the body, compared in time",
-    needs=("attitude",),
-    channels=lambda arrays: ("roll", "pitch"),
-    compute=lambda arrays: arrays.roll_pitch.swapaxes(-1, -2),
-    in_time=True,
+from tcbi_infer.statistics import attitude
+
+STATISTIC = dataclasses.replace(
+    attitude.STATISTIC, name="body_motion", description="roll and pitch of the body, compared in time", in_time=True
 )
