@@ -12,6 +12,7 @@ from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.expansion import Expansion, expansion, nearest
 from tcbi_infer.tcbi.in_time import SKETCH, _sketched, comparable, differences, no_differences
 from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.proposal import from_probit
 from tcbi_sim.model import base_model
 
 TRUTH, SD = np.array([0.4, -0.3]), np.array([0.2, 0.05])
@@ -146,6 +147,21 @@ def test_few_particles_are_no_ground_for_an_expansion() -> None:
     z = np.random.default_rng(0).standard_normal((5, 2))
     assert nearest(motions(z, 0.0, 0.0)[1], 2) is None
     assert nearest(np.r_[np.ones(5), np.full(40, np.inf)], 2) is None
+
+
+@pytest.mark.parametrize("cube", [True, False])
+def test_motions_are_expanded_where_they_bend_least(cube: bool) -> None:
+    """A truth near the prior's bound: linear over the cube or in probit space, whichever the motions are."""
+    z = np.random.default_rng(3).standard_normal((40, 2))
+    z[:, 0] += 1.0  # towards a bound at 2.3
+    place = from_probit if cube else np.asarray
+    rng = np.random.default_rng(4)
+    motion = (place(z) - place(np.array([2.3, 0.0]))) @ rng.standard_normal((2, 30)) + 0.01 * rng.standard_normal(
+        (40, 30)
+    )
+    found = expansion(z, motion)
+    assert found.cube is cube and found.order == 1
+    assert found.motion(np.array([[2.3, 0.0]])) == pytest.approx(np.zeros((1, 30)), abs=0.02)
 
 
 def test_of_noisy_readings_motions_in_time_tell_more_than_their_distributions() -> None:

@@ -4,11 +4,17 @@ A motion bends far less with the parameters than its distance from the robot's d
 motions says where that distance is least from far fewer simulations than one through distances would, as a Gauss-Newton
 step does, with curvature. And it leaves out what contacts throw at random into each single simulation, which says
 nothing of its parameters (a synthetic likelihood, Wood 2010, whose mean is regressed on the parameters).
+
+With a flat prior motions bend least over the cube in which it is uniform, with a normal one over probit space. Which it
+is, and of which order, the motions decide that are left out one by one.
 """
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
+
+from tcbi_infer.tcbi.proposal import from_probit
 
 SHARE = 0.5  # of the particles, those of least energy, that are regressed
 FEWEST, MOST = 20, 200  # of them
@@ -18,8 +24,9 @@ RIDGE = 1e-6  # of the terms' mean square
 
 
 class Expansion(NamedTuple):
-    """Motions expected in probit space; an energy is the sum of their squares."""
+    """Motions expected; an energy is the sum of their squares."""
 
+    cube: bool  # whether over the cube where the prior is uniform, or else over probit space
     center: np.ndarray  # (P,)
     scale: np.ndarray  # (P,)
     order: int  # 1 or 2
@@ -28,12 +35,12 @@ class Expansion(NamedTuple):
     particles: int  # that were regressed
 
     def energy(self, z: np.ndarray) -> np.ndarray:
-        """(N,) expected at (N, P)."""
+        """(N,) expected at (N, P) in probit space."""
         terms = self._terms(z)
         return np.einsum("nf,fg,ng->n", terms, self.coefficients @ self.coefficients.T, terms)
 
     def motion(self, z: np.ndarray) -> np.ndarray:
-        """(N, D) expected at (N, P)."""
+        """(N, D) expected at (N, P) in probit space."""
         return self._terms(z) @ self.coefficients
 
     def foresees(self, expected: np.ndarray, motion: np.ndarray) -> np.ndarray:
@@ -41,7 +48,7 @@ class Expansion(NamedTuple):
         return ((motion - expected) ** 2).sum(axis=1) <= FORESEEN * self.missed.sum()
 
     def _terms(self, z: np.ndarray) -> np.ndarray:
-        return _terms((z - self.center) / self.scale, self.order)
+        return _terms(((from_probit(z) if self.cube else z) - self.center) / self.scale, self.order)
 
 
 def nearest(energy: np.ndarray, dimensions: int) -> np.ndarray | None:
@@ -60,11 +67,14 @@ def expansion(z: np.ndarray, motion: np.ndarray) -> Expansion:
       z: (N, P) particles in probit space, at least `PER_TERM` for each of P + 1 terms.
       motion: (N, D) what they differ from the robot by; the sum of a row's squares is its part of the energy.
     """
-    center, scale = z.mean(axis=0), np.maximum(z.std(axis=0), 1e-6)
-    tried = [_fit((z - center) / scale, motion.astype(float), order) for order in (1, 2)]
-    fits = [(order, *fit) for order, fit in enumerate(tried, 1) if fit]
-    order, coefficients, missed = min(fits, key=lambda fit: fit[2].sum())
-    return Expansion(center, scale, order, coefficients, missed, len(z))
+    found = []
+    for cube, order in itertools.product((True, False), (1, 2)):
+        x = from_probit(z) if cube else z
+        center, scale = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-6)
+        fit = _fit((x - center) / scale, motion.astype(float), order)
+        if fit:
+            found.append(Expansion(cube, center, scale, order, *fit, len(z)))
+    return min(found, key=lambda e: float(e.missed.sum()))
 
 
 def _fit(x: np.ndarray, y: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -74,7 +84,8 @@ def _fit(x: np.ndarray, y: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarr
     if n < PER_TERM * f:
         return None
     far = (y**2).sum(axis=1)
-    weight = 1.0 / np.sqrt(far + np.sort(far)[f - 1])  # errors grow with the distance
+    weight = 1.0 / (far + np.sort(far)[f - 1])  # what the terms leave out grows with the square of the distance
+    weight = weight / weight.max()
     left = terms * weight[:, None]
     inverse = np.linalg.inv(left.T @ left + RIDGE * np.trace(left.T @ left) / f * np.eye(f))
     solve = inverse @ left.T
