@@ -23,7 +23,7 @@ from tcbi_contract.errors import describe
 from tcbi_contract.files import replace_file
 from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.tcbi import checkpoint, modes
-from tcbi_infer.tcbi.goodness import goodness_of_fit, piled, strays, unfinished
+from tcbi_infer.tcbi.goodness import allowing, goodness_of_fit, in_doubt, piled, strays, unfinished
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.mixed import mixed
 from tcbi_infer.tcbi.pooled import JS
@@ -31,6 +31,7 @@ from tcbi_infer.tcbi.predictive import Departures, departures
 from tcbi_infer.tcbi.prior import doubtful
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result, estimates, prior_variances
+from tcbi_infer.tcbi.servos import scattered
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised
 from tcbi_sim.engine import SimError
 from tcbi_sim.errors import UnknownNameError
@@ -315,6 +316,12 @@ class _Loop:
             self._tell(1.0, checking=True)
         with _simulating():
             seen = departures(problem, unit, log_weights) if self.method.judges else Departures({}, 0)
+        checked = seen.particles
+        if self.method.judges and in_doubt(self.statistics, last):
+            with _simulating():
+                servos = scattered(problem, np.asarray(last.notes["best"])[0])
+            checked += servos.particles
+            last, before = allowing(last, servos), before and allowing(before, servos)
         wrong, fits, distrust = goodness_of_fit(
             model.parameters, unit, log_weights, self.statistics, last, before, self.known, seen
         )
@@ -338,7 +345,7 @@ class _Loop:
                 "unstable there, or the time step too long (--timestep)"
             )
         begun = [self.began_with] if self.began_with else []
-        simulated = (self.method.simulations(self.state, self.settings) + seen.particles) * len(problem.rollout_ids)
+        simulated = (self.method.simulations(self.state, self.settings) + checked) * len(problem.rollout_ids)
         seconds = sum(entry.get("wall_s", 0.0) for entry in self.history)
         return Result(
             model, self.method.name, problem.task, self.statistics, problem.rollout_ids, unit, log_weights,

@@ -8,6 +8,7 @@ import numpy as np
 
 from tcbi_infer.tcbi.method import Generation
 from tcbi_infer.tcbi.predictive import DEPARTED, Departures
+from tcbi_infer.tcbi.servos import Scattered
 from tcbi_infer.tcbi.weights import normalised
 from tcbi_sim.parameter import Parameter
 
@@ -15,6 +16,7 @@ EDGE = 0.02  # share of the range that counts as a bound
 PILED = 0.5  # share of the posterior at a bound that is worth a line
 MISFIT = 4.0  # remaining divergence over noise, in the mean of a statistic's channels, that is worth a warning
 MISFIT_OF_ONE = 6.0  # the same of a single channel
+OFF = 16.0  # times what a servo leaves of it on average, that one leaves which is off by four standard deviations
 STRAY = 4.0  # times as much as the rollout in the middle, that predictions miss one which is unlike the others
 STRAYS = 0.2  # share of the rollouts, beyond which they are no exceptions
 LEAST_OTHERS = 4  # rollouts, with fewer of which none is unlike the others
@@ -106,6 +108,21 @@ def goodness_of_fit(
         for name, d in far.items()
     ]
     return GoodnessOfFit(lines, not lines, max([1.0, distrust, *(d.apart**2 for d in far.values())]))
+
+
+def in_doubt(statistics: Sequence[str], last: Generation) -> bool:
+    """Whether so much remains of a divergence that the model may be called wrong for it."""
+    ratios = dict(zip(statistics, _misfit_ratios(last), strict=False))
+    return max(ratios.values(), default=0.0) > MISFIT or bool(_worst_channels(last.notes.get("misfit", {}), ratios))
+
+
+def allowing(generation: Generation, servos: Scattered) -> Generation:
+    """The same with ratios as if rollouts differed by as much as servos do, and a channel's by `OFF` as much."""
+    notes = generation.notes
+    noise = np.array(notes["floor_noise"]) * np.maximum(servos.statistics, 1.0)
+    over = {name: max(1.0, OFF / MISFIT_OF_ONE * servos.channels.get(name, 0.0)) for name in notes["misfit"]}
+    misfit = {name: ratio / over[name] for name, ratio in notes["misfit"].items()}
+    return generation._replace(notes={**notes, "floor_noise": noise.tolist(), "misfit": misfit})
 
 
 def strays(departed: Departures, rollouts: Sequence[str]) -> list[str]:

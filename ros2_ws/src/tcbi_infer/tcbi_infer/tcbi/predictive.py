@@ -10,15 +10,14 @@ posterior predictive check (Gelman, Meng and Stern 1996) that a wide posterior d
 parameters draws differ by little.
 """
 
-import dataclasses
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from tcbi_infer.tcbi.problem import Problem, Simulated
+from tcbi_infer.tcbi.servos import draw_scales, simulate_with
 from tcbi_infer.tcbi.weights import normalised, resample
-from tcbi_sim.scatter import SCATTER, with_scatter
 
 DRAWS = 48  # of the posterior: about a generation's simulations
 LEAST_DRAWS = 8  # of which less is no measure of how far apart they lie
@@ -108,7 +107,7 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
     for _ in range(ROUNDS if problem.prior is None else 1):  # further looks could leave a prior that is not flat
         best = best.clip(ended.min(axis=0), ended.max(axis=0))
         close = rng.normal(best, CLOSE, (CLOSE_DRAWS * len(best), len(best))).clip(0.0, 1.0)
-        near: _Traces = _simulate_scattered(replayed, close, rng)
+        near: _Traces = simulate_with(replayed, close, draw_scales(replayed, len(close), rng), _traces)
         told = told._replace(particles=told.particles + len(close))
         if near.valid.sum() < LEAST_DRAWS:
             return told
@@ -126,16 +125,6 @@ def departures(problem: Problem, unit: np.ndarray, log_weights: np.ndarray) -> D
 def _is_far(signal: str, departure: Departure) -> bool:
     stands_out = departure.missed > DEPARTED[signal] and departure.apart > 1.0
     return stands_out and departure.error > NEGLIGIBLE[signal]
-
-
-def _simulate_scattered(problem: Problem, unit: np.ndarray, rng: np.random.Generator) -> _Traces:
-    """Of (N, P) particles, each with servos that differ from one another as servos of one make do."""
-    model, joints = with_scatter(problem.model)
-    scales = rng.normal(1.0, SCATTER, (len(unit), len(joints)))
-    added = model.parameters[unit.shape[1] :]
-    own = [p.to_unit(scale) for p, scale in zip(added, scales.T, strict=True)]
-    found: _Traces = dataclasses.replace(problem, model=model).simulate(np.column_stack([unit, *own]), view=_traces)
-    return found
 
 
 def _traces(problem: Problem, simulated: Simulated) -> _Traces:
