@@ -102,6 +102,24 @@ def test_what_is_the_same_throughout_a_rollout_counts_by_few_means(problem: Prob
     assert free["white"] > 0.7 and free["off"] < 0.02
 
 
+def test_what_may_be_the_same_in_all_stretches_counts_by_the_root_of_them(problem: Problem) -> None:
+    """The last of them is a rollout of at least 2 s: twice as long ones are not twice as sure."""
+    statistics, (group,) = [library()["joint_motion"]], [g.arrays for g in problem.groups]
+    drift = np.repeat(np.random.default_rng(0).standard_normal(group.joint_position.shape)[:, :, ::20], 20, axis=2)
+    moved = dataclasses.replace(group, joint_position=group.joint_position + drift[:, :, : len(group.time)])
+    freedom = {}
+    for seconds in (1.5, 3.0):
+        half = slice(0, round(seconds / 3.0 * len(group.time)))
+        parts = [
+            dataclasses.replace(g, time=g.time[half], joint_position=g.joint_position[:, :, half])
+            for g in (group, moved)
+        ]
+        _, real, _ = comparable(statistics, [parts[0]], [True], 1)
+        assert real.stretches == pytest.approx(8 * max(1.0, np.ptp(parts[0].time) / 2.0))
+        freedom[seconds] = real.noise(differences(statistics, [parts[0]], [parts[1]], [True], 1), 0)[1][0]
+    assert 1.3 < freedom[3.0] / freedom[1.5] < 1.9
+
+
 def test_a_statistic_without_a_sample_at_each_time_cannot_be_compared_in_time(problem: Problem) -> None:
     sparse = dataclasses.replace(library()["early_response"], in_time=True)
     with pytest.raises(InferError, match=r"early_response is compared in time, so .* at each of \d+ times"):

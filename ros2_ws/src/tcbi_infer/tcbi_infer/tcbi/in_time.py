@@ -8,7 +8,8 @@ for equals, 1 for a simulation that tells as much of the robot as the robot's me
 It weighs particles as a normal likelihood would whose variance is what the best particles leave. Of that, what is
 white counts by the number of means. The rest is what the model does otherwise than the robot: it counts by as many
 means as it is independent of in time (an autoregression of first order; channels count as independent), and is in part
-the same in all rollouts, so that more of them average it less. Where rollouts contradict each other alpha falls
+the same in all rollouts, and in each cycle of a gait, so that more of them, and longer ones, average it less. Where
+rollouts contradict each other alpha falls
 (`calibration`), as for histograms. That motions cannot be reproduced is not told here, but by `predictive`.
 U units of rollouts, M particles, K statistics.
 """
@@ -28,9 +29,10 @@ MEAN_S = 0.1  # of which means are compared: motions are no quicker, and sketche
 SKETCH = 256  # values, at most, that stand for a statistic's differences in a unit
 LAGS = 3  # 0, 1 and 2 means: products of differences so far apart say how much of them is white
 MOST_ALIKE = 0.98  # correlation of neighbours in what is not white: beyond it slow drifts would count for nothing
-# power of the number of rollouts, by which more of them do not average what the model does otherwise than the robot: 0
+# power of the number of stretches, by which more of them do not average what the model does otherwise than the robot: 0
 # if each has its own, 1 if it is the same in all
 SHARED = 0.5
+STRETCH_S = 2.0  # of a rollout, which is at least one
 AT_A_TIME = 500  # particles whose motions are foreseen
 TINY = np.finfo(float).tiny
 
@@ -60,7 +62,7 @@ class InTime(NamedTuple):
 
     pairs: np.ndarray  # (U, K, LAGS) of means so far apart, those with themselves first
     variance: np.ndarray  # (K,) of them, each channel about its own mean; positive
-    rollouts: int  # that are compared
+    stretches: float  # of rollouts, that are compared
 
     @property
     def means(self) -> np.ndarray:
@@ -86,7 +88,7 @@ class InTime(NamedTuple):
         alike = np.clip(second / np.maximum(next_to, TINY), 0.0, MOST_ALIKE)
         coloured = np.clip(next_to / np.maximum(alike, TINY), 0.0, square)
         coloured, count = np.where(pairs[:, -1] > 0, coloured, square), pairs[:, 0]
-        spread = square - coloured + coloured * self.rollouts**SHARED * (1 + alike) / (1 - alike)
+        spread = square - coloured + coloured * self.stretches**SHARED * (1 + alike) / (1 - alike)
         return square / self.variance, np.clip(count * square / np.maximum(spread, TINY), 1.0, count)
 
     def motion(self, found: Differences, floor: np.ndarray) -> np.ndarray:
@@ -119,7 +121,7 @@ class InTime(NamedTuple):
         return floor * self.variance * self.means.sum(axis=0)
 
 
-NOTHING = InTime(np.zeros((0, 0, LAGS)), np.zeros(0), 0)
+NOTHING = InTime(np.zeros((0, 0, LAGS)), np.zeros(0), 0.0)
 
 
 def comparable(
@@ -153,8 +155,12 @@ def comparable(
             lines.append(
                 f"statistic {statistic.name} left out: the rollouts are too short, or it never changes in them"
             )
-    rollouts = sum(arrays.count[1] for arrays, again in zip(real, replayed, strict=True) if again)
-    found = InTime(np.stack(counts, axis=1), np.array(variances), rollouts) if kept else NOTHING
+    stretches = sum(
+        arrays.count[1] * max(1.0, float(np.ptp(arrays.time)) / STRETCH_S)
+        for arrays, again in zip(real, replayed, strict=True)
+        if again
+    )
+    found = InTime(np.stack(counts, axis=1), np.array(variances), stretches) if kept else NOTHING
     return tuple(kept), found, lines
 
 
