@@ -9,8 +9,8 @@ It weighs particles as a normal likelihood would whose variance is what the best
 white counts by the number of means. The rest is what the model does otherwise than the robot: it counts by as many
 means as it is independent of in time (an autoregression of first order; channels count as independent), and is in part
 the same in all rollouts, and in each cycle of a gait, so that more of them, and longer ones, average it less. Where
-rollouts contradict each other alpha falls
-(`calibration`), as for histograms. That motions cannot be reproduced is not told here, but by `predictive`.
+rollouts contradict each other alpha falls (`calibration`), as for histograms. That motions cannot be reproduced is not
+told here, but by `predictive`.
 U units of rollouts, M particles, K statistics.
 """
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tcbi_infer.tcbi.calibration import LEAST
 from tcbi_infer.tcbi.problem import Problem, View, histogram_features
 from tcbi_sim.scatter import SCATTER, with_scatter
 
@@ -26,11 +27,10 @@ class Scattered(NamedTuple):
 
 def simulate_with(problem: Problem, unit: np.ndarray, scales: np.ndarray, view: View) -> Any:
     """What a view keeps of (N, P) particles of the parameters' unit cube, with (N, servos) gains over the model's."""
-    model, joints = with_scatter(problem.model)
+    model, _ = with_scatter(problem.model)
     added = model.parameters[unit.shape[1] :]
     own = [p.to_unit(scale) for p, scale in zip(added, scales.T, strict=True)]
-    particles = np.column_stack([unit, *own]) if joints else unit
-    return dataclasses.replace(problem, model=model, prior=None).simulate(particles, view=view)
+    return dataclasses.replace(problem, model=model, prior=None).simulate(np.column_stack([unit, *own]), view=view)
 
 
 def draw_scales(problem: Problem, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -52,7 +52,7 @@ def scattered(problem: Problem, best: np.ndarray) -> Scattered:
     left = observed.measure(counts[0].sum(axis=0), counts[1:][ended[1:]].sum(axis=1)).mean(axis=0)
     noise, _ = observed.measure.noise(observed.counts, counts[0])
     in_time = np.ones(len(observed.in_time.variance))  # whose noise is all that is left
-    left, noise = np.r_[left, 0 * in_time], np.r_[noise, in_time]
+    left, noise = np.r_[left, 0 * in_time], np.maximum(np.r_[noise, in_time], LEAST)
     of_statistic = observed.by_statistic(noise)
     channels = left / np.maximum(noise, of_statistic[observed.statistic])
     each = dict(zip(observed.channels, channels.tolist(), strict=True))
