@@ -65,11 +65,10 @@ class Binning:
         position = np.subtract(samples, self.low, dtype=float)
         with np.errstate(over="ignore"):  # the tails hold whatever lies beyond
             position *= inner / (self.high - self.low)
-        np.floor(position, out=position)
         position += 1
         np.clip(position, 0, self.bins - 1, out=position)
         position[np.isnan(position)] = self.bins
-        return position.astype(np.int64)
+        return position.astype(np.int64)  # what lies below 1 is the lower tail
 
     def counts(self, samples: np.ndarray) -> np.ndarray:
         """(..., n) samples -> (..., bins) counts; infinite samples fall in the tails, NaN nowhere."""

@@ -21,6 +21,7 @@ SHARE = 0.5  # of the particles, those of least energy, that are regressed
 FEWEST, MOST = 20, 200  # of them
 CANDIDATES = 5000  # in each round
 ROUNDS = 4
+CENTERS = 200  # of the kernels of the rounds after the first
 BANDWIDTH = 0.5  # of the candidates' kernels, times the spread of their centers
 MARGIN = 1.0  # standard deviations of the particles by which draws may lie beyond them
 NOISE = 0.1  # expected standard deviation of the noise, where that of the roots is 1
@@ -114,7 +115,7 @@ def expected_draws(
     margin = MARGIN * expects.z.std(axis=0)
     low, high = expects.z.min(axis=0) - margin, expects.z.max(axis=0) + margin
     centers = expects.z
-    for _ in range(ROUNDS):
+    for left in reversed(range(ROUNDS)):
         sd = BANDWIDTH * np.maximum(centers.std(axis=0), 1e-3)
         drawn = centers[rng.integers(0, len(centers), CANDIDATES)] + sd * rng.standard_normal((CANDIDATES, z.shape[1]))
         evenly = np.full(len(centers), 1.0 / len(centers))
@@ -122,5 +123,6 @@ def expected_draws(
         log_weights = log_prior(drawn) - alpha * energies
         log_weights -= log_kernels(drawn, centers, evenly, np.diag(sd**2))
         inside = ((drawn >= low) & (drawn <= high)).all(axis=1)
-        centers = drawn[resample(rng, normalised(np.where(inside, log_weights, -np.inf)), count)]
+        weights = normalised(np.where(inside, log_weights, -np.inf))
+        centers = drawn[resample(rng, weights, CENTERS if left else count)]
     return centers

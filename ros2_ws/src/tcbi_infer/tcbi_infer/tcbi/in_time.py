@@ -26,7 +26,7 @@ from tcbi_infer.statistics import RolloutArrays, Statistic, samples
 from tcbi_infer.tcbi.expansion import Expansion
 
 MEAN_S = 0.1  # of which means are compared: motions are no quicker, and sketches are less noisy for it
-SKETCH = 256  # values, at most, that stand for a statistic's differences in a unit
+SKETCH = 128  # values, at most, that stand for a statistic's differences in a unit
 LAGS = 3  # 0, 1 and 2 means: products of differences so far apart say how much of them is white
 MOST_ALIKE = 0.98  # correlation of neighbours in what is not white: beyond it slow drifts would count for nothing
 # power of the number of stretches, by which more of them do not average what the model does otherwise than the robot: 0
@@ -93,7 +93,8 @@ class InTime(NamedTuple):
 
     def motion(self, found: Differences, floor: np.ndarray) -> np.ndarray:
         """(M, U * K * SKETCH) differences by (K,) floors: the sum of a row's squares is about its energy."""
-        return (found.sketch / np.sqrt(self._scale(floor))[:, None]).reshape(len(found.sketch), -1)
+        by = (1 / np.sqrt(self._scale(floor))).astype(np.float32)
+        return (found.sketch * by[:, None]).reshape(len(found.sketch), -1)
 
     def foreseen(self, found: Differences, floor: np.ndarray, expansion: Expansion, z: np.ndarray) -> Differences:
         """The same with squares as an expansion of (M, P) particles' motions has them, where it foresees their motion.
@@ -221,6 +222,8 @@ def _means(values: np.ndarray, arrays: RolloutArrays) -> np.ndarray:
     whole = values[..., : values.shape[-1] // each * each]
     split = whole.reshape(*whole.shape[:-1], -1, each)
     known = np.isfinite(split)
+    if known.all():
+        return split @ np.full(each, 1 / each)
     count = known.sum(axis=-1)
     return np.where(count > 0, np.where(known, split, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
 

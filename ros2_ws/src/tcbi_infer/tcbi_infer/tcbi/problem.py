@@ -50,7 +50,7 @@ from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.workers import chunk_size, present, threads_here
 
-LOOKED_AT = 25  # particles that a thread looks at at a time: with 5 it takes half as long again
+LOOKED_AT = 13  # particles that a thread looks at at a time: with 5 it takes half as long again, with 25 memory is new each time
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
 LONGEST_STEP = 0.005  # s: with 10 ms contacts are softer, and stiff servos look up to an eighth softer or stiffer
 

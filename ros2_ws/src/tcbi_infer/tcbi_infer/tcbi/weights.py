@@ -1,15 +1,17 @@
 """Weighted particles: normalising, effective sample size, moments, quantiles."""
 
 import numpy as np
-from scipy.special import logsumexp
 
 TEMPERATURES = 61  # at which `temper` looks, over six decades below the value wanted
 
 
 def normalised(log_weights: np.ndarray) -> np.ndarray:
     """(M,) log-weights -> weights that sum to one; all zero weights become zero, not NaN."""
-    total = logsumexp(log_weights) if len(log_weights) else -np.inf
-    return np.exp(log_weights - total) if np.isfinite(total) else np.zeros(len(log_weights))
+    most = log_weights.max() if len(log_weights) else -np.inf
+    if not np.isfinite(most):
+        return np.zeros(len(log_weights))
+    weights = np.exp(log_weights - most)
+    return weights / weights.sum()
 
 
 def effective_sample_size(weights: np.ndarray) -> float:
