@@ -6,12 +6,14 @@ Differs from `paper` in that
   (deterministic-mixture weights), so every simulation ever run counts and iterating does not narrow the posterior;
 - alpha is not a constant: it rises as the effective sample size allows, up to the value that the data support
   (`calibration`);
-- motions that are compared in time are weighed as regression on the nearest particles foresees them (`expansion`);
+- motions that are compared in time are weighed as regression on the nearest particles foresees them (`expansion`), and
+  as shorter time steps would have them (`finer`);
 - particles live in probit space, so the flat prior's bounds are kept without reflection (`proposal`).
 
     state = init(dimensions, settings)
     while not finished(state, settings):
         state, info = step(rng, state, simulate, observed, settings)
+        state = finely(rng, state, simulate_with_short_steps, observed, settings)
     unit, log_weights = posterior(state)
 """
 
@@ -22,11 +24,11 @@ import numpy as np
 
 from tcbi_contract.errors import describe
 from tcbi_infer.errors import SettingError
-from tcbi_infer.tcbi import calibration
+from tcbi_infer.tcbi import calibration, finer
 from tcbi_infer.tcbi.emulator import expected_draws
 from tcbi_infer.tcbi.expansion import Expansion, expansion, nearest
 from tcbi_infer.tcbi.features import Features, Observed, weighable
-from tcbi_infer.tcbi.in_time import no_differences
+from tcbi_infer.tcbi.in_time import NOTHING, no_differences
 from tcbi_infer.tcbi.proposal import (
     Proposal,
     draw,
@@ -65,6 +67,7 @@ class CalibratedState(NamedTuple):
     alpha: float
     alpha_supported: float  # by the data, as far as the simulations so far can tell
     converged: bool
+    correction: finer.Correction  # that the features were given
 
 
 class CalibratedInfo(NamedTuple):
@@ -86,7 +89,9 @@ def init(dimensions: int) -> CalibratedState:
     features = Features(
         np.zeros((0, 1, 1, 1), np.float32), np.zeros((0, 1)), none, np.zeros(0, bool), no_differences(0)
     )
-    return CalibratedState(0, np.zeros((0, dimensions)), features, (), none, none, none, 0.0, 0.0, False)
+    return CalibratedState(
+        0, np.zeros((0, dimensions)), features, (), none, none, none, 0.0, 0.0, False, finer.none(NOTHING)
+    )
 
 
 def step(
@@ -118,12 +123,55 @@ def step(
         weights = normalised(state.log_weights)
         drawn_from = proposal(settings.particles, state.z, weights, expected, settings.prior_share)
     fresh = draw(rng, drawn_from)
-    simulated = simulate(from_probit(fresh))
+    simulated = _corrected(observed, simulate(from_probit(fresh)), state.correction)
     features = simulated if state.generation == 0 else state.features.join(simulated)
     usable = weighable(features, observed.channels)
     features = features._replace(divergence=np.where(usable[:, None], features.divergence, 0.0), valid=usable)
     z, proposals = np.concatenate([state.z, fresh]), (*state.proposals, drawn_from)
     return _weigh(rng, state, z, features, proposals, observed, settings)
+
+
+def finely(
+    rng: np.random.Generator,
+    state: CalibratedState,
+    simulate: Callable[[np.ndarray], Features],
+    observed: Observed,
+    settings: CalibratedSettings,
+) -> CalibratedState:
+    """Allow for what shorter time steps do, once: before the last generation, or where the search would have ended.
+
+    Args:
+      rng: the randomness of the weights.
+      state: after a generation.
+      simulate: as of `step`, with shorter time steps.
+      observed: the real rollouts.
+      settings: budget.
+    """
+    left = settings.generations - state.generation
+    if state.correction.particles or not (left == 1 or (left > 1 and state.converged)):
+        return state
+    moves = _expansion(observed, state.features, state.floor, state.energy, state.z)
+    if moves is None:
+        return state
+    near = np.argsort(state.energy, kind="stable")[: finer.PARTICLES]
+    short = simulate(from_probit(state.z[near]))
+    usable = short.valid & np.isfinite(state.energy[near])
+    if usable.sum() < finer.LEAST:
+        return state
+    floor = state.floor[observed.histograms :]
+    found = finer.correction(observed.in_time, floor, moves, state.z[near[usable]], short.differences.only(usable))
+    before, features = state._replace(correction=found), _corrected(observed, state.features, found)
+    after, _ = _weigh(rng, before, state.z, features, state.proposals, observed, settings)
+    return after._replace(generation=state.generation, converged=False)
+
+
+def _corrected(observed: Observed, features: Features, by: finer.Correction) -> Features:
+    if not by.particles:
+        return features
+    moved = finer.corrected(features.differences, by)
+    in_time = np.where(features.valid[:, None], observed.in_time.divergences(moved), 0.0)
+    divergence = np.concatenate([features.divergence[:, : observed.histograms], in_time], axis=1)
+    return features._replace(divergence=divergence, differences=moved)
 
 
 def _expected(rng: np.random.Generator, state: CalibratedState, observed: Observed) -> np.ndarray | None:
@@ -149,6 +197,8 @@ def _weigh(
     log_base = np.where(features.valid, log_prior(z) - log_mixture(proposals, z), -np.inf)
     floors, energy = _judged(observed, features)
     seen, doubt = _smoothed(observed, features, floors.total, energy, z)
+    if before.correction.particles:
+        doubt[observed.histograms :] += before.correction.doubt
     floors, energy = _judged(observed, seen, doubt)
     supported = calibration.calibrate(rng, observed, seen, floors.total, z, log_base, energy)
     supported = min(supported, settings.alpha)
@@ -169,7 +219,7 @@ def _weigh(
     converged = before.generation >= 2 and alpha >= 0.99 * supported and _steady(before, z, weights)
     state = CalibratedState(
         before.generation + 1, z, features, proposals, energy, floors.total, log_weights, alpha, supported,
-        bool(converged),
+        bool(converged), before.correction,
     )  # fmt: skip
     return state, info
 

@@ -230,6 +230,8 @@ class _Loop:
             self._tell(0.0)
             self.simulated = self.diverged = 0
             self.state, found = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
+            if self.method.finely and self.problem.timestep > self.problem.finer.timestep:
+                self.state = self.method.finely(rng, self.state, self._simulate_finely, self.real, self.settings)
             self.last = self._told(found)
             self.here += 1
             self._record(time.monotonic() - began)
@@ -244,6 +246,10 @@ class _Loop:
         self.simulated += len(seen.valid)
         self.diverged += int(np.sum(~seen.valid))
         return seen
+
+    def _simulate_finely(self, unit: np.ndarray) -> Any:
+        with _simulating():
+            return self.problem.finer.simulate(unit, None, self.method.view)
 
     def _told(self, found: Generation) -> Generation:
         """A generation with its best particles where the posterior's are: in the parameters' unit cube."""

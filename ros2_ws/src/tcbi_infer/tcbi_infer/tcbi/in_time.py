@@ -93,7 +93,7 @@ class InTime(NamedTuple):
 
     def motion(self, found: Differences, floor: np.ndarray) -> np.ndarray:
         """(M, U * K * SKETCH) differences by (K,) floors: the sum of a row's squares is about its energy."""
-        by = (1 / np.sqrt(self._scale(floor))).astype(np.float32)
+        by = (1 / np.sqrt(self.scale(floor))).astype(np.float32)
         return (found.sketch * by[:, None]).reshape(len(found.sketch), -1)
 
     def foreseen(self, found: Differences, floor: np.ndarray, expansion: Expansion, z: np.ndarray) -> Differences:
@@ -106,7 +106,7 @@ class InTime(NamedTuple):
             part = slice(begin, begin + AT_A_TIME)
             expected, motion = expansion.motion(z[part]), self.motion(found.only(part), floor)
             known = expansion.foresees(expected, motion)
-            more = (expected**2 - motion**2).reshape(-1, *found.sketch.shape[1:]).sum(axis=-1) * self._scale(floor)
+            more = (expected**2 - motion**2).reshape(-1, *found.sketch.shape[1:]).sum(axis=-1) * self.scale(floor)
             squares = found.sums[part, ..., 0]
             share = np.maximum(1 + more / np.where(squares > 0, squares, np.inf), 0.0)
             sums[part] = np.where(known[:, None, None, None], share[..., None] * sums[part], sums[part])
@@ -117,7 +117,7 @@ class InTime(NamedTuple):
         missed = expansion.missed.reshape(len(self.pairs), -1, SKETCH).sum(axis=(0, 2))
         return floor * missed * len(expansion.center) / expansion.particles
 
-    def _scale(self, floor: np.ndarray) -> np.ndarray:
+    def scale(self, floor: np.ndarray) -> np.ndarray:
         """(K,) sum of squares that is an energy of 1."""
         return floor * self.variance * self.means.sum(axis=0)
 

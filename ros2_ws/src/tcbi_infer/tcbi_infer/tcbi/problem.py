@@ -50,8 +50,9 @@ from tcbi_sim.rig import Noise
 from tcbi_sim.rigs import load_rig
 from tcbi_sim.workers import chunk_size, present, threads_here
 
-LOOKED_AT = 13  # particles that a thread looks at at a time: with 5 it takes half as long again, with 25 memory is new each time
+LOOKED_AT = 13  # particles that a thread looks at at a time: 5 take half as long again, 25 need new memory each time
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
+FINE_STEP = 0.002  # s, with which models are compared
 LONGEST_STEP = 0.005  # s: with 10 ms contacts are softer, and stiff servos look up to an eighth softer or stiffer
 
 
@@ -195,6 +196,11 @@ class Problem:
     def open_loop(self) -> "Problem":
         """The same with the recorded commands in all rollouts, for particles in the parameters' unit cube."""
         return dataclasses.replace(self, controllers=(None,) * len(self.groups), prior=None)
+
+    @property
+    def finer(self) -> "Problem":
+        """The same with steps of `FINE_STEP`, or its own if they are shorter."""
+        return dataclasses.replace(self, timestep=min(FINE_STEP, self.timestep))
 
     @functools.cached_property
     def readings_noise(self) -> Noise:
