@@ -19,9 +19,9 @@ from tcbi_infer.tcbi.weights import normalised, resample
 
 SHARE = 0.5  # of the particles, those of least energy, that are regressed
 FEWEST, MOST = 20, 200  # of them
-CANDIDATES = 5000  # in each round
 ROUNDS = 4
-CENTERS = 200  # of the kernels of the rounds after the first
+CANDIDATES, CENTERS = 2000, 200  # in each round but the last, and drawn from them
+LAST = 5000  # candidates in the last round
 BANDWIDTH = 0.5  # of the candidates' kernels, times the spread of their centers
 MARGIN = 1.0  # standard deviations of the particles by which draws may lie beyond them
 NOISE = 0.1  # expected standard deviation of the noise, where that of the roots is 1
@@ -117,7 +117,8 @@ def expected_draws(
     centers = expects.z
     for left in reversed(range(ROUNDS)):
         sd = BANDWIDTH * np.maximum(centers.std(axis=0), 1e-3)
-        drawn = centers[rng.integers(0, len(centers), CANDIDATES)] + sd * rng.standard_normal((CANDIDATES, z.shape[1]))
+        tried = CANDIDATES if left else LAST
+        drawn = centers[rng.integers(0, len(centers), tried)] + sd * rng.standard_normal((tried, z.shape[1]))
         evenly = np.full(len(centers), 1.0 / len(centers))
         energies = expects.energy(drawn) + (0.0 if moves is None else moves.energy(drawn))
         log_weights = log_prior(drawn) - alpha * energies
