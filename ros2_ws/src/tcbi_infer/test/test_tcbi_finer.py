@@ -23,7 +23,7 @@ BENT = 0.05  # rad, at most, that long steps move joints by
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     model, rollouts = bench_rollouts()
-    return Problem.of(model, rollouts, statistics=("joint_tracking", "joint_motion"), timestep=0.005)
+    return Problem.of(model, rollouts, statistics=("joint_tracking", "joint_motion"))
 
 
 def features(problem: Problem, unit: np.ndarray, bent: float = 0.0) -> Features:
@@ -79,15 +79,16 @@ def test_a_bias_of_long_steps_does_not_bias_the_posterior(problem: Problem) -> N
 
 def test_it_is_done_once_before_the_last_generation_and_counted(problem: Problem, tmp_path: Path) -> None:
     result = infer(problem, seed=0, particles=20, generations=3, folder=tmp_path)
-    assert problem.finer.timestep == FINE_STEP < problem.timestep
+    assert problem.finer is not None and problem.finer.timestep == FINE_STEP < problem.timestep
     assert result.simulations >= (60 + finer.PARTICLES) * len(problem.rollout_ids)
     again = infer(problem, seed=0, particles=20, generations=3, folder=tmp_path)
     assert np.array_equal(result.log_weights, again.log_weights)
 
 
-def test_short_steps_and_single_generations_are_left_as_they_are(problem: Problem) -> None:
-    short = dataclasses.replace(problem, timestep=0.001)
-    assert short.finer.timestep == short.timestep
+def test_steps_that_were_asked_for_and_single_generations_are_left_as_they_are(problem: Problem) -> None:
+    for asked in (0.001, 0.01):
+        chosen = Problem.of(*bench_rollouts(count=2), statistics=("joint_tracking",), timestep=asked)
+        assert chosen.finer is None and chosen.timestep == asked
     settings, state = calibrated.CalibratedSettings(30, 1), calibrated.init(3)
     state, _ = calibrated.step(
         np.random.default_rng(0), state, functools.partial(features, problem), problem.observed, settings

@@ -77,7 +77,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="flat",
         help="flat (default); model: go on from what the model version says, with rollouts that it has not seen",
     )
-    parser.add_argument("--timestep", type=timestep, help="s at most, of the simulation (default: 0.005)")
+    parser.add_argument(
+        "--timestep",
+        type=timestep,
+        help="s at most, of the simulation whose parameters are wanted (default: 0.005, corrected to 0.002)",
+    )
     parser.add_argument("--threads", type=at_least(0), default=0, help="0 (default) for all processors")
     parser.add_argument("--seed", type=seed, default=0, help="of everything that is drawn (default: 0)")
     parser.add_argument(

@@ -9,6 +9,7 @@ bits as one that ran through.
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import json
 import math
@@ -136,7 +137,7 @@ def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
         "versions": versions(),
         "statistics": problem.observed.channels,
         "closed": [controller is not None for controller in problem.controllers],
-        "timestep": problem.timestep,
+        "timestep": [problem.timestep, problem.short_step],
         "divergence": problem.divergence_name,
         "bins": [b.bins for b in problem.binnings[:1]],
         "prior": None if problem.prior is None else problem.prior.means.tolist(),
@@ -230,8 +231,9 @@ class _Loop:
             self._tell(0.0)
             self.simulated = self.diverged = 0
             self.state, found = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
-            if self.method.finely and self.problem.timestep > self.problem.finer.timestep:
-                self.state = self.method.finely(rng, self.state, self._simulate_finely, self.real, self.settings)
+            if self.method.finely and (finer := self.problem.finer):
+                simulate = functools.partial(self._simulate_finely, finer)
+                self.state = self.method.finely(rng, self.state, simulate, self.real, self.settings)
             self.last = self._told(found)
             self.here += 1
             self._record(time.monotonic() - began)
@@ -247,9 +249,9 @@ class _Loop:
         self.diverged += int(np.sum(~seen.valid))
         return seen
 
-    def _simulate_finely(self, unit: np.ndarray) -> Any:
+    def _simulate_finely(self, finer: Problem, unit: np.ndarray) -> Any:
         with _simulating():
-            return self.problem.finer.simulate(unit, None, self.method.view)
+            return finer.simulate(unit, None, self.method.view)
 
     def _told(self, found: Generation) -> Generation:
         """A generation with its best particles where the posterior's are: in the parameters' unit cube."""
@@ -365,7 +367,7 @@ class _Loop:
         """What another run needs beside the bags to come to the same bits."""
         problem = self.problem
         divergence = {"divergence": problem.divergence_name} if self.method.any_divergence else {}
-        run = {"seed": self.seed, "timestep": problem.timestep, **divergence}
+        run = {"seed": self.seed, "timestep": problem.timestep, "short_step": problem.short_step, **divergence}
         return {**run, **self.settings._asdict(), "versions": versions()}
 
     def _last_generation(self) -> Generation:

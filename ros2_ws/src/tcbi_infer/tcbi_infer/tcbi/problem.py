@@ -77,6 +77,7 @@ class Problem:
     divergence_name: str = JS
     warnings: tuple[str, ...] = field(default_factory=tuple)
     prior: Prior | None = None  # None: flat
+    short_step: float | None = None  # s, to which motions are corrected
     noisy: tuple[str, ...] = ()  # signals that are averaged over `AVERAGE_S`, recorded and simulated alike
 
     @classmethod
@@ -107,7 +108,8 @@ class Problem:
           prior: "flat" within the parameters' bounds, or "model" to go on from what the model's particles say; these
             rollouts must be new then, since data must not count twice.
           policies: the store's root, where policies are looked for.
-          timestep: s of the simulation; 0.005, or one sample interval if that is shorter.
+          timestep: s of the simulation, whose parameters are inferred then; None for 0.005, or one sample interval if
+            that is shorter, with motions corrected to 0.002.
           threads: 0 for all processors.
           seed: of the simulated sensors' noise.
           bins: of each histogram, the two tails among them.
@@ -169,12 +171,13 @@ class Problem:
             in_time,
         )
         odd = (*left_out, *not_followed, *oddities(names, used, values, observed))
+        step = timestep or min(LONGEST_STEP, 1 / rate)
         return cls(
             model, tuple(groups), acting, kept, followed, observed,
             binnings, tuple(values[i] for i in used), blocks, noise,
-            timestep or min(LONGEST_STEP, 1 / rate), rate, seed, threads, divergence_name,
+            step, rate, seed, threads, divergence_name,
             (*warnings, said, *(odd if by_task else ()), *noisier(noise, nominal)),
-            known, noisy,
+            known, FINE_STEP if timestep is None and step > FINE_STEP else None, noisy,
         )  # fmt: skip
 
     @property
@@ -198,9 +201,11 @@ class Problem:
         return dataclasses.replace(self, controllers=(None,) * len(self.groups), prior=None)
 
     @property
-    def finer(self) -> "Problem":
-        """The same with steps of `FINE_STEP`, or its own if they are shorter."""
-        return dataclasses.replace(self, timestep=min(FINE_STEP, self.timestep))
+    def finer(self) -> "Problem | None":
+        """The same with the short steps to which motions are corrected, if they are."""
+        if self.short_step is None:
+            return None
+        return dataclasses.replace(self, timestep=self.short_step, short_step=None)
 
     @functools.cached_property
     def readings_noise(self) -> Noise:
