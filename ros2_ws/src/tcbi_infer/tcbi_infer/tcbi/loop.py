@@ -3,7 +3,7 @@
 What a policy commands depends on the robot through what it sees alone. So with all readings at hand its commands would
 tell nothing more of the parameters, and a policy that acts anew adds the scatter of its own reactions. But histograms
 keep only part of the readings, and a policy that holds the robot in place amplifies small deviations in them. Which is
-worth more was measured (docs/tcbi.md): walks and noisy readings are replayed, else policies act.
+worth more was measured (docs/tcbi_measured.md): walks and noisy readings are replayed, else policies act.
 """
 
 from collections.abc import Sequence

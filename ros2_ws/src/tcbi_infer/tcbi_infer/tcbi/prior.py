@@ -37,7 +37,7 @@ class Prior:
         """What a model version's particles say, made wider where a diagnosis drew them.
 
         Twice, but in no direction wider than the flat prior. That was chosen when a diagnosis's 90 % intervals held the
-        size of an effect in 11 of 15 emulated robots. They have held it in 54 of 60 since (docs/diagnosis_measured.md,
+        size of an effect in 11 of 15 emulated robots. They have held it in 63 of 68 since (docs/diagnosis_measured.md,
         Intervals), so that it is cautious.
 
         Raises:
