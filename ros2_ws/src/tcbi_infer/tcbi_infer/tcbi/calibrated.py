@@ -13,7 +13,7 @@ Differs from `paper` in that
     state = init(dimensions, settings)
     while not finished(state, settings):
         state, info = step(rng, state, simulate, observed, settings)
-        state = finely(rng, state, simulate_with_short_steps, observed, settings)
+        state, _ = finely(rng, state, simulate_with_short_steps, observed, settings)
     unit, log_weights = posterior(state)
 """
 
@@ -28,7 +28,7 @@ from tcbi_infer.tcbi import calibration, finer
 from tcbi_infer.tcbi.emulator import expected_draws
 from tcbi_infer.tcbi.expansion import Expansion, expansion, nearest
 from tcbi_infer.tcbi.features import Features, Observed, weighable
-from tcbi_infer.tcbi.in_time import NOTHING, no_differences
+from tcbi_infer.tcbi.in_time import no_differences
 from tcbi_infer.tcbi.proposal import (
     Proposal,
     draw,
@@ -89,9 +89,7 @@ def init(dimensions: int) -> CalibratedState:
     features = Features(
         np.zeros((0, 1, 1, 1), np.float32), np.zeros((0, 1)), none, np.zeros(0, bool), no_differences(0)
     )
-    return CalibratedState(
-        0, np.zeros((0, dimensions)), features, (), none, none, none, 0.0, 0.0, False, finer.none(NOTHING)
-    )
+    return CalibratedState(0, np.zeros((0, dimensions)), features, (), none, none, none, 0.0, 0.0, False, finer.NONE)
 
 
 def step(
@@ -137,8 +135,10 @@ def finely(
     simulate: Callable[[np.ndarray], Features],
     observed: Observed,
     settings: CalibratedSettings,
-) -> CalibratedState:
+) -> tuple[CalibratedState, CalibratedInfo | None]:
     """Allow for what shorter time steps do, once: before the last generation, or where the search would have ended.
+
+    The generation is weighed anew then; else it stays as it is, and nothing happened.
 
     Args:
       rng: the randomness of the weights.
@@ -149,20 +149,21 @@ def finely(
     """
     left = settings.generations - state.generation
     if state.correction.particles or not (left == 1 or (left > 1 and state.converged)):
-        return state
+        return state, None
     moves = _expansion(observed, state.features, state.floor, state.energy, state.z)
     if moves is None:
-        return state
+        return state, None
     near = np.argsort(state.energy, kind="stable")[: finer.PARTICLES]
     short = simulate(from_probit(state.z[near]))
-    usable = short.valid & np.isfinite(state.energy[near])
+    usable = short.valid & np.isfinite(short.divergence).all(axis=1) & np.isfinite(state.energy[near])
     if usable.sum() < finer.LEAST:
-        return state
-    floor = state.floor[observed.histograms :]
-    found = finer.correction(observed.in_time, floor, moves, state.z[near[usable]], short.differences.only(usable))
+        return state, None
+    used, floor = near[usable], state.floor[observed.histograms :]
+    long = state.features.differences.only(used)
+    found = finer.correction(observed.in_time, floor, moves, state.z[used], long, short.differences.only(usable))
     before, features = state._replace(correction=found), _corrected(observed, state.features, found)
-    after, _ = _weigh(rng, before, state.z, features, state.proposals, observed, settings)
-    return after._replace(generation=state.generation, converged=False)
+    after, info = _weigh(rng, before, state.z, features, state.proposals, observed, settings)
+    return after._replace(generation=state.generation, converged=False), info
 
 
 def _corrected(observed: Observed, features: Features, by: finer.Correction) -> Features:

@@ -9,7 +9,7 @@ divergence / floor. Four things decide:
 - *Misfit.* What the best particles cannot remove beyond the noise is systematic and shared by all rollouts, so nothing
   averages it: it counts in full. A model that does not fit thus widens its own posterior.
 - *In time.* Of what is compared in time (`in_time`) all that the best particles leave is noise, spread over as many
-  degrees of freedom as it has independent means; what regression misses is added.
+  degrees of freedom as it has independent means; what regression misses is added, and what short steps leave open.
 - *Rollouts.* What would other rollouts have said? The real ones are resampled with replacement (and with them the
   simulations of the same scenarios: they are paired). The posterior mean moves from resample to resample; alpha is the
   largest at which it moves no more than the posterior is wide (general posterior calibration, Syring and Martin 2019).
@@ -35,7 +35,7 @@ class Floors(NamedTuple):
     noise: np.ndarray  # (C + K,) expected of a right model, from how residuals vary between rollouts
     freedom: np.ndarray  # (C + K,) degrees of freedom that the noise is spread over
     misfit: np.ndarray  # (C + K,) what the best particles cannot remove
-    doubt: np.ndarray  # (C + K,) about the divergences themselves, where they are foreseen by regression
+    doubt: np.ndarray  # (C + K,) about divergences that are foreseen by regression, or corrected to short steps
 
     @property
     def total(self) -> np.ndarray:

@@ -233,7 +233,8 @@ class _Loop:
             self.state, found = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
             if self.method.finely and (finer := self.problem.finer):
                 simulate = functools.partial(self._simulate_finely, finer)
-                self.state = self.method.finely(rng, self.state, simulate, self.real, self.settings)
+                self.state, anew = self.method.finely(rng, self.state, simulate, self.real, self.settings)
+                found = anew or found
             self.last = self._told(found)
             self.here += 1
             self._record(time.monotonic() - began)

@@ -2,8 +2,9 @@
 
 Steps of 5 ms are quick, and feet land and slip a little otherwise with them: the same in all particles that move much
 alike, which no number of rollouts averages, and which friction and mass make up for. So the nearest particles are
-simulated once more with steps of 2 ms. By what they move on average, beyond what is expected of their motion with long
-steps, every simulation is moved. How much they differ in that is doubt about all of them.
+simulated once more with steps of 2 ms. By what they move on average every simulation is moved: beyond what is expected
+of their motion with long steps, which has no contact's chance in it, or beyond that motion itself, where that scatters
+less. How much they differ in that is doubt about all of them.
 """
 
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from tcbi_infer.tcbi.expansion import Expansion
 from tcbi_infer.tcbi.in_time import SKETCH, Differences, InTime
 
 PARTICLES = 6  # that are simulated with short steps
-LEAST = 2  # of them, of which none diverged
+LEAST = 2  # of them, that can be used
 TINY = np.finfo(np.float32).tiny
 
 
@@ -23,37 +24,41 @@ class Correction(NamedTuple):
 
     sketch: np.ndarray  # (U, K, SKETCH) float32 by which the sketches of differences move
     doubt: np.ndarray  # (K,) divergence as large as its own error
-    particles: int  # simulated for it, 0 while there is none
+    particles: int  # that it rests on, 0 while there is none
 
 
-def none(observed: InTime) -> Correction:
-    """Nothing is moved."""
-    return Correction(np.zeros((*observed.means.shape, SKETCH), np.float32), np.zeros(len(observed.variance)), 0)
+NONE = Correction(np.zeros((0, 0, SKETCH), np.float32), np.zeros(0), 0)
 
 
 def correction(
-    observed: InTime, floor: np.ndarray, expansion: Expansion, z: np.ndarray, short: Differences
+    observed: InTime, floor: np.ndarray, expansion: Expansion, z: np.ndarray, long: Differences, short: Differences
 ) -> Correction:
-    """From particles that were simulated with short steps.
+    """From particles that were simulated with both.
 
     Args:
       observed: the real rollouts.
       floor: (K,) that motions are divided by.
       expansion: of the motions with long steps.
       z: (n, P) the particles, at least two.
-      short: of the same with short steps.
+      long: theirs with long steps.
+      short: with short ones.
     """
-    moved = observed.motion(short, floor) - expansion.motion(z)
-    moved = moved.reshape(short.sketch.shape) * np.sqrt(observed.scale(floor))[:, None]
-    scatter = moved.var(axis=0, ddof=1).sum(axis=(0, 2)) / len(z)
-    return Correction(moved.mean(axis=0).astype(np.float32), scatter / observed.scale(np.ones_like(floor)), len(z))
+    motion = observed.motion(short, floor)
+    moved = min((motion - expansion.motion(z), motion - observed.motion(long, floor)), key=_scatter)
+    sketches = moved.reshape(short.sketch.shape) * np.sqrt(observed.scale(floor))[:, None]
+    scatter = sketches.var(axis=0, ddof=1).sum(axis=(0, 2)) / len(z)
+    return Correction(sketches.mean(axis=0).astype(np.float32), scatter / observed.scale(np.ones_like(floor)), len(z))
 
 
 def corrected(found: Differences, by: Correction) -> Differences:
     """Simulations with long steps, as with short ones; squares change as those of the sketches do."""
     if not by.particles:
         return found
-    sketch = found.sketch + by.sketch
-    more = (sketch.astype(float) ** 2).sum(axis=-1) - (found.sketch.astype(float) ** 2).sum(axis=-1)
+    more = 2 * np.einsum("muks,uks->muk", found.sketch, by.sketch, dtype=float)
+    more += (by.sketch.astype(float) ** 2).sum(axis=-1)
     share = np.maximum(1 + more / np.maximum(found.sums[..., 0], TINY), 0.0)
-    return Differences((found.sums * share[..., None]).astype(np.float32), sketch)
+    return Differences((found.sums * share[..., None]).astype(np.float32), found.sketch + by.sketch)
+
+
+def _scatter(moved: np.ndarray) -> float:
+    return float(moved.var(axis=0).sum())

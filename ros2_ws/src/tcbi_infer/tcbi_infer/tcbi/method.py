@@ -57,7 +57,8 @@ class Method:
     labels: Callable[[Problem], tuple[str, ...]] = lambda problem: problem.observed.statistics  # of `divergence`
     caveat: str = ""  # what a reader of its posterior must know
     distrusted: Callable[[State, float], np.ndarray] | None = None  # log-weights where the model misses by so much
-    finely: Callable[[np.random.Generator, State, Simulate, Any, Any], State] | None = None  # as `step`, after one
+    # after a step: what short time steps change, as `step`; None of a generation that stays as it is
+    finely: Callable[[np.random.Generator, State, Simulate, Any, Any], tuple[State, Generation | None]] | None = None
     judges: bool = False  # whether its width says what the data tell, so that parameters can be called identified
     any_divergence: bool = False  # whether it looks at divergences at all
     by_task: bool = True  # whether it looks at the task's statistics, and not at trajectories
@@ -84,6 +85,17 @@ def _calibrated_step(
     rng: np.random.Generator, state: Any, simulate: Callable[[np.ndarray], Features], observed: Observed, settings: Any
 ) -> tuple[calibrated.CalibratedState, Generation]:
     state, info = calibrated.step(rng, state, simulate, observed, settings)
+    return state, _as_generation(info, observed)
+
+
+def _calibrated_finely(
+    rng: np.random.Generator, state: Any, simulate: Callable[[np.ndarray], Features], observed: Observed, settings: Any
+) -> tuple[calibrated.CalibratedState, Generation | None]:
+    state, info = calibrated.finely(rng, state, simulate, observed, settings)
+    return state, None if info is None else _as_generation(info, observed)
+
+
+def _as_generation(info: calibrated.CalibratedInfo, observed: Observed) -> Generation:
     notes = {
         "alpha_supported": info.alpha_supported,
         "floor_noise": info.floor_noise.tolist(),
@@ -91,7 +103,7 @@ def _calibrated_step(
         "misfit": dict(zip(observed.channels, info.misfit.tolist(), strict=True)),
         "best": info.best.tolist(),
     }
-    return state, Generation(info.ess, info.alpha, info.divergence, notes)
+    return Generation(info.ess, info.alpha, info.divergence, notes)
 
 
 def _baseline(
@@ -140,7 +152,7 @@ _ALL = (
         posterior=lambda state, settings: calibrated.posterior(state),
         simulations=lambda state, settings: len(state.z) + state.correction.particles,
         view=histogram_features,
-        finely=calibrated.finely,
+        finely=_calibrated_finely,
         distrusted=calibrated.distrusted,
         judges=True,
         any_divergence=True,
