@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from tcbi_cases import BENCH_TRUTH, bench_rollouts
 
+from tcbi_infer.compare.timestep import USUAL_STEP
 from tcbi_infer.tcbi import calibrated, checkpoint, finer
 from tcbi_infer.tcbi.driver import Interrupted, Progress, infer, run_name
 from tcbi_infer.tcbi.expansion import expansion
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.method import find_method
-from tcbi_infer.tcbi.problem import FINE_STEP, Problem
+from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.proposal import to_probit
 
 Simulate = Callable[[np.ndarray], Features]
@@ -63,7 +64,8 @@ def test_simulations_with_long_steps_become_those_with_short_ones(problem: Probl
     before, after, asked = (in_time.divergences(d)[:, 0] for d in (long.differences, found, short.differences))
     assert by.particles == 6 and 0 < by.doubt[0] < 0.05 * before.mean()
     assert np.abs(after - asked).mean() < 0.15 * np.abs(before - asked).mean()
-    assert finer.corrected(long.differences, finer.NONE) is long.differences
+    same = finer.corrected(long.differences, finer.NONE)
+    assert np.array_equal(same.sketch, long.differences.sketch) and np.array_equal(same.sums, long.differences.sums)
 
 
 def test_what_scatters_less_is_taken_the_expansion_or_the_particles_own_motions(problem: Problem) -> None:
@@ -119,7 +121,7 @@ def test_a_divergence_that_is_not_finite_costs_that_particle_alone(problem: Prob
 
 def test_it_is_done_once_before_the_last_generation_and_resumed(problem: Problem, tmp_path: Path) -> None:
     settings = {"seed": 0, "particles": 20, "generations": 3}
-    assert problem.finer is not None and problem.finer.timestep == FINE_STEP < problem.timestep
+    assert problem.finer is not None and problem.finer.timestep == USUAL_STEP < problem.timestep
     through = infer(problem, folder=tmp_path / "through", **settings)
     with pytest.raises(Interrupted):
         infer(problem, folder=tmp_path / "killed", watch=_kill_in_the_last, **settings)

@@ -198,8 +198,7 @@ def _weigh(
     log_base = np.where(features.valid, log_prior(z) - log_mixture(proposals, z), -np.inf)
     floors, energy = _judged(observed, features)
     seen, doubt = _smoothed(observed, features, floors.total, energy, z)
-    if before.correction.particles:
-        doubt[observed.histograms :] += before.correction.doubt
+    doubt[observed.histograms :] += before.correction.doubt
     floors, energy = _judged(observed, seen, doubt)
     supported = calibration.calibrate(rng, observed, seen, floors.total, z, log_base, energy)
     supported = min(supported, settings.alpha)

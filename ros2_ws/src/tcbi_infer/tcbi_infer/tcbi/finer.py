@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tcbi_infer.tcbi.expansion import Expansion
-from tcbi_infer.tcbi.in_time import SKETCH, Differences, InTime
+from tcbi_infer.tcbi.in_time import SKETCH, Differences, InTime, raised
 
 PARTICLES = 6  # that are simulated with short steps
 LEAST = 2  # of them, that can be used
-TINY = np.finfo(np.float32).tiny
 
 
 class Correction(NamedTuple):
@@ -27,7 +26,7 @@ class Correction(NamedTuple):
     particles: int  # that it rests on, 0 while there is none
 
 
-NONE = Correction(np.zeros((0, 0, SKETCH), np.float32), np.zeros(0), 0)
+NONE = Correction(np.zeros((1, 1, SKETCH), np.float32), np.zeros(1), 0)
 
 
 def correction(
@@ -52,12 +51,9 @@ def correction(
 
 def corrected(found: Differences, by: Correction) -> Differences:
     """Simulations with long steps, as with short ones; squares change as those of the sketches do."""
-    if not by.particles:
-        return found
     more = 2 * np.einsum("muks,uks->muk", found.sketch, by.sketch, dtype=float)
     more += (by.sketch.astype(float) ** 2).sum(axis=-1)
-    share = np.maximum(1 + more / np.maximum(found.sums[..., 0], TINY), 0.0)
-    return Differences((found.sums * share[..., None]).astype(np.float32), found.sketch + by.sketch)
+    return Differences(raised(found.sums, more), found.sketch + by.sketch)
 
 
 def _scatter(moved: np.ndarray) -> float:

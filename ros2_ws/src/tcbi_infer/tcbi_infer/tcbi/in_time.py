@@ -107,9 +107,7 @@ class InTime(NamedTuple):
             expected, motion = expansion.motion(z[part]), self.motion(found.only(part), floor)
             known = expansion.foresees(expected, motion)
             more = (expected**2 - motion**2).reshape(-1, *found.sketch.shape[1:]).sum(axis=-1) * self.scale(floor)
-            squares = found.sums[part, ..., 0]
-            share = np.maximum(1 + more / np.where(squares > 0, squares, np.inf), 0.0)
-            sums[part] = np.where(known[:, None, None, None], share[..., None] * sums[part], sums[part])
+            sums[part] = np.where(known[:, None, None, None], raised(sums[part], more), sums[part])
         return found._replace(sums=sums)
 
     def doubt(self, floor: np.ndarray, expansion: Expansion) -> np.ndarray:
@@ -204,6 +202,13 @@ def differences(
         sums.append(np.concatenate(rows, axis=1))
         sketches.append(np.concatenate(sketch, axis=1))
     return Differences(np.stack(sums, axis=2).astype(np.float32), np.stack(sketches, axis=2).astype(np.float32))
+
+
+def raised(sums: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """(M, U, K, LAGS) sums whose squares are more by (M, U, K), and those at other lags by the same share."""
+    squares = sums[..., 0]
+    share = np.maximum(1 + by / np.where(squares > 0, squares, np.inf), 0.0)
+    return (share[..., None] * sums).astype(np.float32)
 
 
 def _samples(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:

@@ -19,6 +19,7 @@ import numpy as np
 
 from tcbi_contract.errors import describe
 from tcbi_contract.wording import some
+from tcbi_infer.compare.timestep import USUAL_STEP
 from tcbi_infer.divergence import BINS, Binning, divergence, measured
 from tcbi_infer.errors import InferError
 from tcbi_infer.seen import used_before
@@ -52,7 +53,6 @@ from tcbi_sim.workers import chunk_size, present, threads_here
 
 LOOKED_AT = 13  # particles that a thread looks at at a time: 5 take half as long again, 25 need new memory each time
 CHUNK_VALUES = 2e7  # array elements of a signal bundle held at a time
-FINE_STEP = 0.002  # s, with which models are compared
 LONGEST_STEP = 0.005  # s: with 10 ms contacts are softer, and stiff servos look up to an eighth softer or stiffer
 
 
@@ -77,7 +77,7 @@ class Problem:
     divergence_name: str = JS
     warnings: tuple[str, ...] = field(default_factory=tuple)
     prior: Prior | None = None  # None: flat
-    short_step: float | None = None  # s, to which motions are corrected
+    short_step: float | None = None  # s, to which motions are corrected: the one with which models are compared
     noisy: tuple[str, ...] = ()  # signals that are averaged over `AVERAGE_S`, recorded and simulated alike
 
     @classmethod
@@ -177,7 +177,7 @@ class Problem:
             binnings, tuple(values[i] for i in used), blocks, noise,
             step, rate, seed, threads, divergence_name,
             (*warnings, said, *(odd if by_task else ()), *noisier(noise, nominal)),
-            known, FINE_STEP if timestep is None and step > FINE_STEP else None, noisy,
+            known, USUAL_STEP if timestep is None and step > USUAL_STEP else None, noisy,
         )  # fmt: skip
 
     @property

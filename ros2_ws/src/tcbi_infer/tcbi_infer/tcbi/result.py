@@ -126,7 +126,7 @@ def estimates(
       judged: whether the particles' spread is what the data leave open; if not, no parameter is called identified.
     """
     weights = normalised(log_weights)
-    enough = judged and round(effective_sample_size(weights), 9) >= LEAST_ESS
+    enough = judged and effective_sample_size(weights) >= LEAST_ESS
     before = prior_variances(len(parameters), prior)
     _, variance = mean_and_variance(unit, weights)
     high = _variance_bound(unit, weights)

@@ -15,9 +15,9 @@ def normalised(log_weights: np.ndarray) -> np.ndarray:
 
 
 def effective_sample_size(weights: np.ndarray) -> float:
-    """Of (M,) normalised weights: 1 / sum w^2 (Algorithm 1, line 11)."""
+    """Of (M,) normalised weights: 1 / sum w^2 (Algorithm 1, line 11), rounded so that M equal ones are M."""
     square = float(np.sum(weights**2))
-    return 1.0 / square if square > 0 else 0.0
+    return round(1.0 / square, 9) if square > 0 else 0.0
 
 
 def mean_and_variance(values: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
