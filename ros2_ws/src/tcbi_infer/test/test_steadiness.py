@@ -1,12 +1,13 @@
 """A robot that does not repeat itself is told, and how many of its commands seem to get lost."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from tcbi_infer.compare.replay import Replay
-from tcbi_infer.compare.steadiness import Lost, unfollowed, unsteady
+from tcbi_infer.compare.steadiness import Lost, overtaken, unfollowed, unsteady
 from tcbi_infer.diagnose.at_random import suspected
 from tcbi_infer.diagnose.evidence import EFFECT, Evidence, Misfit
 from tcbi_infer.diagnose.verdict import CANNOT_TELL, NOTHING_MISSING, OUTSIDE_LIBRARY, Ruling, rule
@@ -51,6 +52,63 @@ def test_lost_commands_show_in_what_repeats_do_not_share(lost: float) -> None:
     assert 0.5 * lost < found.share < 2 * lost, "a rough figure"
     assert said.startswith(UNSTEADY[:-1])
     assert f"some {100 * found.share:.0f} % of the commands (90 % interval" in said
+
+
+def hexapod_recorded(hears: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> list[Measurement]:
+    """Two repeats of three motions of the standing hexapod, which follows what it `hears` of (K, 18) targets."""
+    model, rng, found = base_model("hexapod"), np.random.default_rng(0), []
+    time = np.arange(16) * PERIOD
+    for motion in range(3):
+        target = np.random.default_rng(20 + motion).uniform(-0.4, 0.4, (len(time), 18))
+        for repeat in range(2):
+            scenario = Scenario("balance", len(time) * PERIOD)
+            heard = Commands(time, hears(target, rng), PERIOD)
+            m = simulate(model, model.mean()[None], [scenario], commands=[heard]).measurement(
+                0, rollout_id=f"{motion}-{repeat}"
+            )
+            found.append(dataclasses.replace(m, commands=Commands(time, target, PERIOD)))
+    return found
+
+
+def swapped(target: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A quarter of the commands wait until the next one has passed."""
+    heard, k = target.copy(), 1
+    while k < len(target) - 1:
+        waits = rng.random() < 0.25
+        if waits:
+            heard[k], heard[k + 1] = heard[k - 1], target[k]
+        k += 1 + waits
+    return heard
+
+
+def lossy(target: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A quarter of the commands are lost."""
+    heard = target.copy()
+    for k in np.flatnonzero(rng.random(len(target) - 1) < 0.25) + 1:
+        heard[k] = heard[k - 1]
+    return heard
+
+
+def test_commands_that_are_followed_after_the_next_is_due_come_late_and_are_not_lost() -> None:
+    late = Replay.of(base_model("hexapod"), hexapod_recorded(swapped))
+    found = overtaken(late)
+    assert found and 2 <= found.late <= found.let_pass
+    said = unsteady(late, late.noise_floor(np.zeros_like(late.measured)))
+    assert f"Of {found.let_pass} commands that it let pass it followed {found.late} when the next one was due" in said
+    lost = Replay.of(base_model("hexapod"), hexapod_recorded(lossy))
+    assert overtaken(lost) is None and unfollowed(lost), "a lost command is never followed"
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.25])
+def test_of_a_single_joint_nobody_can_say_that_commands_came_late(lost: float) -> None:
+    assert overtaken(Replay.of(MODEL, recorded(lost))) is None
+
+
+def test_commands_that_come_late_are_outside_the_library_whatever_else_is_said() -> None:
+    misfit = Misfit(1.1, {f"motion-{i}": 1.1 for i in range(5)})
+    ruling = rule([], misfit, 5, misfit, unsteady=UNSTEADY, late=True)
+    assert (ruling.verdict, ruling.uses) == (OUTSIDE_LIBRARY, ()) and UNSTEADY in ruling.statement
+    assert rule([], misfit, 5, misfit, late=True).verdict == NOTHING_MISSING, "of a robot that repeats itself"
 
 
 def test_copies_of_a_recording_and_repeats_that_followed_nothing_do_not_count() -> None:

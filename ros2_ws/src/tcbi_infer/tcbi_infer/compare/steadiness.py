@@ -4,6 +4,7 @@ Commands that get lost or come in another order on their way make repeats differ
 are told in multiples of that, so that hardly any effect can show, and a model that errs by no more says little.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,9 @@ MISSED, FOLLOWED = 0.35, 0.65  # of the usual response: at most, and at least; w
 FOLLOWS = 0.2  # of a way, that a robot's usual response is at least
 LEAST_SHARE = 0.02  # of the commands, that is worth a word
 LEAST_STEPS = 10  # pairs of responses from which a share is told
+CLEAR = 0.6  # of the way to what another command leads to: at most what a motion stays away from its own
+SEVERAL = 3.0  # joints asked to move at a command, each counted by its share of the squared way
+BY_CHANCE, SURE = 0.05, 0.01  # of the commands let pass that look followed late, where all are lost; at this level
 
 
 class Lost(NamedTuple):
@@ -31,6 +35,13 @@ class Lost(NamedTuple):
     share: float
     low90: float
     high90: float
+
+
+class Late(NamedTuple):
+    """Of the commands that a robot let pass and then moved on, how many it followed when the next one was due."""
+
+    late: int
+    let_pass: int
 
 
 def unsteady(replay: Replay, floor: NoiseFloor) -> str:
@@ -43,18 +54,26 @@ def unsteady(replay: Replay, floor: NoiseFloor) -> str:
     apart, share = floor.values[joints], floor.values[joints] / np.maximum(moved, 1e-9)
     if np.median(apart) < LEAST or np.median(share) < ERRATIC:
         return ""
-    lost = unfollowed(replay)
-    cause = (
-        f"Repeats differ in which commands they followed, as if some {100 * lost.share:.0f} % of the commands (90 % "
-        f"interval {100 * lost.low90:.0f} to {100 * lost.high90:.0f} %) were lost, or came late or in another order."
-        if lost
-        else "Commands that get lost or come late do that, a supply that breaks down, loose contacts, slipping feet."
-    )
     return (
         f"The robot does not repeat itself: asked for the same again, a joint is {np.median(apart):.1f} deg elsewhere "
-        f"(root mean square, the median joint), {100 * np.median(share):.0f} % of how far it moves. {cause} Errors are "
-        "told in multiples of this, so that hardly any effect can show."
+        f"(root mean square, the median joint), {100 * np.median(share):.0f} % of how far it moves. {_cause(replay)} "
+        "Errors are told in multiples of this, so that hardly any effect can show."
     )
+
+
+def _cause(replay: Replay) -> str:
+    if late := overtaken(replay):
+        return (
+            f"Of {late.let_pass} commands that it let pass it followed {late.late} when the next one was due: commands "
+            "come late or in another order."
+        )
+    if lost := unfollowed(replay):
+        return (
+            f"Repeats differ in which commands they followed, as if some {100 * lost.share:.0f} % of the commands (90 "
+            f"% interval {100 * lost.low90:.0f} to {100 * lost.high90:.0f} %) were lost, or came late or in another "
+            "order."
+        )
+    return "Commands that get lost or come late do that, a supply that breaks down, loose contacts, slipping feet."
 
 
 def unfollowed(replay: Replay) -> Lost | None:
@@ -73,8 +92,7 @@ def unfollowed(replay: Replay) -> Lost | None:
         for members, commands in zip(replay.repeats, replay.commands, strict=True)
         for pair in zip(members[::2], members[1::2], strict=False)
     ]
-    known = np.concatenate([pair[np.isfinite(pair)] for pair in pairs]) if pairs else np.zeros(0)
-    usual = float(np.quantile(known, 0.75)) if len(known) else 0.0
+    usual = _usual(pairs)
     if usual < FOLLOWS:
         return None
     together = alone = 0
@@ -91,16 +109,78 @@ def unfollowed(replay: Replay) -> Lost | None:
     return lost if lost.share >= LEAST_SHARE else None
 
 
+def overtaken(replay: Replay) -> Late | None:
+    """How many of the commands that a robot let pass it followed when the next one was due, if it is more than chance.
+
+    A lost command is never followed. One that comes late, or swaps places with the next, is, though the next one was
+    due. Which command a motion follows is told by its target, that of the last three to which it comes nearest. A
+    command that every repeat let pass does not count: the robot is just slow there. None where a few wrongly told may
+    have done it, for a rig whose commands are torques, and for one that moves a joint at a time (`_ages`).
+    """
+    if load_rig(replay.rig).kind != "position":
+        return None
+    sets = [
+        [(member, commands) for member in members]
+        for members, commands in zip(replay.repeats, replay.commands, strict=True)
+    ]
+    usual = _usual([_responses(replay, *repeat) for repeats in sets for repeat in repeats])
+    if usual < FOLLOWS:
+        return None
+    late = count = 0
+    for repeats in sets:
+        ages = np.stack([_ages(replay, *repeat, usual) for repeat in repeats])
+        before, at, after = ages[:, :-2], ages[:, 1:-1], ages[:, 2:]
+        let_pass = (before <= 0) & (at == 1) & (after >= 0)
+        if len(repeats) > 1:
+            let_pass &= (at <= 0).any(axis=0)
+        late, count = late + int((after[let_pass] == 1).sum()), count + int(let_pass.sum())
+    if not late or binomtest(late, count, BY_CHANCE, "greater").pvalue > SURE:
+        return None
+    return Late(late, count)
+
+
+def _usual(responses: Sequence[np.ndarray]) -> float:
+    """What a robot that follows its commands responds; 0 where no response is known."""
+    known = np.concatenate([r[np.isfinite(r)] for r in responses]) if responses else np.zeros(0)
+    return float(np.quantile(known, 0.75)) if len(known) else 0.0
+
+
+def _ages(replay: Replay, member: int, commands: Commands, usual: float) -> np.ndarray:
+    """(K,) how many commands ago was sent what the joints follow from each command to the next; -1: it is not clear.
+
+    Several joints must be asked for something else than before: a single one that turns round or sticks goes anywhere.
+    """
+    measured, rows, _ = _spans(replay, member, commands)
+    ages = np.full(len(rows), -1)
+    for k in range(1, int(np.searchsorted(rows[:, 1], len(measured)))):
+        begin, end = rows[k]
+        targets = commands.target[[k, k - 1, max(k - 2, 0)]]
+        asked = targets[0] - targets[1]
+        away = np.linalg.norm(measured[end] - measured[begin] - usual * (targets - measured[begin]), axis=1)
+        age = int(np.argmin(away))
+        others = [away[i] for i in range(3) if np.linalg.norm(targets[i] - targets[age]) >= STEP]
+        several = (asked**2).sum() ** 2 >= SEVERAL * (asked**4).sum()
+        if several and np.linalg.norm(asked) >= STEP and away[age] < CLEAR * min(others, default=0.0):
+            ages[k] = age
+    return ages
+
+
 def _responses(replay: Replay, member: int, commands: Commands) -> np.ndarray:
     """(K,) which share of the way to its target the joints went until the next command; NaN of a short way."""
-    measured = np.radians(replay.measured[member][:, replay.layout.where(JOINT)])
-    ends = np.append(commands.time[1:], np.inf)
-    rows = np.searchsorted(replay.time, np.stack([commands.time, ends]) - 1e-6)
+    measured, rows, lasts = _spans(replay, member, commands)
     found = np.full(len(commands.time), np.nan)
-    for k, (begin, end) in enumerate(rows.T):
-        if end >= len(measured) or ends[k] - commands.time[k] < SHORTEST:
+    for k, (begin, end) in enumerate(rows):
+        if end >= len(measured) or lasts[k] < SHORTEST:
             continue
         way = commands.target[k] - measured[begin]
         if np.linalg.norm(way) >= STEP:  # NaN where nothing was measured
             found[k] = (measured[end] - measured[begin]) @ way / (way @ way)
     return found
+
+
+def _spans(replay: Replay, member: int, commands: Commands) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Joint positions (T, J) in rad, first row of each command and of the next (K, 2), s between them (K,)."""
+    measured = np.radians(replay.measured[member][:, replay.layout.where(JOINT)])
+    ends = np.append(commands.time[1:], np.inf)
+    rows = np.searchsorted(replay.time, np.stack([commands.time, ends], axis=1) - 1e-6)
+    return measured, rows, ends - commands.time

@@ -18,7 +18,7 @@ from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, to
 from tcbi_infer.compare.noise import NoiseFloor, mean_of
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.replicates import Split, split
-from tcbi_infer.compare.steadiness import unsteady
+from tcbi_infer.compare.steadiness import overtaken, unsteady
 from tcbi_infer.compare.timestep import fine_step
 from tcbi_infer.diagnose import excitation
 from tcbi_infer.diagnose.agreement import agreement, disagreeing
@@ -265,9 +265,10 @@ class _Run:
         replayed = {use.partition(":")[0] for use in self.uses if use not in directions.random}
         count = len(replayed) if left else None
         apart = unsteady(self.replay, self.floor)
-        random = suspected(self.model, self.replay, directions.random, before.error) if apart else []
+        late = bool(apart and overtaken(self.replay))
+        random = suspected(self.model, self.replay, directions.random, before.error) if apart and not late else []
         names = [e.use for e in random]
-        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count, apart, names)
+        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count, apart, names, late)
         if self.mend:
             ruling = Ruling(CANNOT_TELL, (), MEND_FIRST.format(" ".join(self.mend)))
         errors = {"unfitted": judge.unfitted, "base": before.error}

@@ -22,7 +22,7 @@ from tcbi_infer.diagnose.evidence import (
 
 USEFUL = 0.05  # of the error over the floor: an effect must lower it at least by this share
 ELSEWHERE = 0.2  # the same of one other kind of signal, where an effect of a sensor shows in no joint and no attitude
-WIDELY = 0.25  # quantile over the kinds of motion that must err so much, before it is more than a slip in one of them
+WIDELY = 0.25  # quantile over the kinds of motion whose attitude must err so much, before it is more than some slips
 # times the floor, of roll and pitch alone: of 12 robots with nothing hidden the worst left 2.1 in so many kinds
 ATTITUDE_PREDICTED = 4.0
 NOTICEABLE = 1.5  # times the noise floor: less leaves nothing to be explained
@@ -169,6 +169,7 @@ def rule(
     tried: int | None = None,
     unsteady: str = "",
     suspected: Sequence[str] = (),
+    late: bool = False,
 ) -> Ruling:
     """The verdict.
 
@@ -183,7 +184,10 @@ def rule(
       unsteady: that the robot does not repeat itself, in a sentence; then neither one effect nor that none is missing
         is told.
       suspected: uses of which an unsteady robot's repeats tell a size, and no replay anything.
+      late: whether an unsteady robot follows commands after the next is due, which no effect does.
     """
+    if unsteady and late:
+        return Ruling(OUTSIDE_LIBRARY, (), f"No effect of the library delays single commands. {unsteady}")
     ruling = _ruled(ranking, base, kinds, unfitted, base_converged, unseen, tried)
     if not unsteady:
         return ruling
@@ -236,6 +240,14 @@ def _ruled(
         )
     equal = indistinct(best, accepted[1:]) + better(best, ranking)
     caveat = "" if kinds >= MIN_KINDS else f" With {kinds} kinds of motion no false-alarm rate is claimed."
+    if not equal and _explains_little(best):
+        return Ruling(
+            CANNOT_TELL,
+            (best.use,),
+            f"Something is missing, of which {best.use} explains only {100 * max(_explained(best), 0):.0f} %: with it "
+            f"the error {_where(best)} falls from {best.error_before:.1f} to {left:.1f} times the noise floor. It "
+            f"may be there beside something else, or look a little like what is.{caveat}",
+        )
     if equal:
         names = " or ".join([best.use, *(e.use for e in equal)])
         return Ruling(
@@ -259,6 +271,12 @@ def _ruled(
 def _leaves_much(e: Evidence) -> bool:
     """On the sealed motions and on those held out in turn: the sealed are few, and one of them may slip otherwise."""
     return min(e.error_after, (e.held_out or (np.inf, np.inf))[1]) > WELL_PREDICTED
+
+
+def _explains_little(e: Evidence) -> bool:
+    """Of an error that is large, on the sealed motions and on those held out in turn, as far as both are known."""
+    pairs = [(e.error_before, e.error_after), e.held_out or (e.error_before, e.error_after)]
+    return all(before > WELL_PREDICTED and before - after < EXPLAINED * (before - 1.0) for before, after in pairs)
 
 
 def _where(e: Evidence) -> str:
@@ -296,7 +314,7 @@ def _none_accepted(
             (best.use,),
             f"Something may be missing: {best.use} passes every test but one: {CONTRADICTED}. Record more motions.",
         )
-    badly = misfit.total > WELL_PREDICTED and _in_most(misfit.by_kind or {"": misfit.total}, WELL_PREDICTED)
+    badly = misfit.total > WELL_PREDICTED and (not misfit.by_kind or misfit.badly_predicted > len(misfit.by_kind) / 2)
     tilted = _in_most(misfit.attitude, ATTITUDE_PREDICTED)
     lost = badly or tilted or not np.isfinite(misfit.total)
     if best and (_all_but_sure(best, kinds, unseen) or _hinted(best, misfit, kinds, unseen, lost)):
@@ -318,7 +336,7 @@ def _none_accepted(
     if misfit.total > WELL_PREDICTED:
         worst = max(misfit.by_kind, key=lambda name: misfit.by_kind[name])
         return Ruling(
-            CANNOT_TELL if misfit.badly_predicted > len(misfit.by_kind) / 2 else NOTHING_MISSING,
+            NOTHING_MISSING,
             (),
             f"No effect is named: {error}; in {misfit.badly_predicted} of {kinds} kinds of motion by more than "
             f"{WELL_PREDICTED:g}, most in {worst}, by {misfit.by_kind[worst]:.1f}. That is too few to say that the "
