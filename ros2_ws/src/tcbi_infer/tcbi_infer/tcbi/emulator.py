@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
 from tcbi_infer.tcbi.expansion import Expansion
-from tcbi_infer.tcbi.proposal import log_kernels, log_prior
+from tcbi_infer.tcbi.proposal import log_prior
 from tcbi_infer.tcbi.weights import normalised, resample
 
 SHARE = 0.5  # of the particles, those of least energy, that are regressed
@@ -119,11 +119,22 @@ def expected_draws(
         sd = BANDWIDTH * np.maximum(centers.std(axis=0), 1e-3)
         tried = CANDIDATES if left else LAST
         drawn = centers[rng.integers(0, len(centers), tried)] + sd * rng.standard_normal((tried, z.shape[1]))
-        evenly = np.full(len(centers), 1.0 / len(centers))
         energies = expects.energy(drawn) + (0.0 if moves is None else moves.energy(drawn))
         log_weights = log_prior(drawn) - alpha * energies
-        log_weights -= log_kernels(drawn, centers, evenly, np.diag(sd**2))
+        log_weights -= _crowding(drawn / sd, centers / sd)
         inside = ((drawn >= low) & (drawn <= high)).all(axis=1)
         weights = normalised(np.where(inside, log_weights, -np.inf))
         centers = drawn[resample(rng, weights, CENTERS if left else count)]
     return centers
+
+
+def _crowding(points: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    """(N,) log-density at (N, P) of even standard normal kernels on (n, P) centers, but for a constant.
+
+    In single precision, of places about the centers' mean: good to 1e-4, and it only weighs candidates.
+    """
+    middle = centers.mean(axis=0)
+    x, c = (np.asarray(v - middle, np.float32) for v in (points, centers))
+    squares = (x**2).sum(axis=1)[:, None] + (c**2).sum(axis=1) - 2.0 * x @ c.T
+    nearest = squares.min(axis=1)
+    return np.log(np.exp(-0.5 * (squares - nearest[:, None])).sum(axis=1)) - 0.5 * nearest
