@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tcbi_infer.tcbi.emulator import emulator, expected_draws
+from tcbi_infer.tcbi.emulator import _crowding, emulator, expected_draws
+from tcbi_infer.tcbi.proposal import log_kernels
 
 CENTER, SD = np.array([0.4, -0.8, 0.2]), np.array([0.3, 0.1, 0.02])
 
@@ -56,3 +57,12 @@ def test_energies_that_are_all_alike_do_no_harm() -> None:
     z = particles()
     drawn = expected_draws(np.random.default_rng(1), z, np.zeros(len(z)), 0.5, 50)
     assert drawn is not None and np.isfinite(drawn).all()
+
+
+def test_candidates_are_weighed_as_by_kernels_in_double_precision() -> None:
+    rng = np.random.default_rng(4)
+    centers = CENTER + 40.0 + SD * rng.standard_normal((200, 3))
+    sd = 0.5 * centers.std(axis=0)
+    drawn = centers[rng.integers(0, 200, 1000)] + sd * rng.standard_normal((1000, 3))
+    exact = log_kernels(drawn, centers, np.full(200, 1 / 200), np.diag(sd**2))
+    assert np.ptp(_crowding(drawn / sd, centers / sd) - exact) < 1e-3, "alike but for a constant"

@@ -24,13 +24,21 @@ class Said:
     ranking: tuple[Any, ...]
     errors: dict[str, float]
     model: str = "m-v0"
+    unsteady: str = ""
+    converged: bool = True
+
+    @property
+    def base(self) -> Any:
+        return SimpleNamespace(converged=self.converged)
 
     def to_json(self) -> dict[str, Any]:
         return {}
 
 
-def evidence(use: str, error: float, accepted: bool = True, alike: tuple[str, ...] = ()) -> Any:
-    return SimpleNamespace(use=use, error_after=error, accepted=accepted, alike=alike, refined=True)
+def evidence(use: str, error: float, accepted: bool = True, alike: tuple[str, ...] = (), little: bool = False) -> Any:
+    return SimpleNamespace(
+        use=use, error_after=error, accepted=accepted, alike=alike, refined=True, explains_little=little
+    )
 
 
 class Model(SimpleNamespace):
@@ -177,7 +185,10 @@ def test_two_that_change_the_signals_alike_are_not_tried_beside_each_other(facts
     assert only.added is None
 
 
-@pytest.mark.parametrize("begun", [PARTLY, DOUBTED])
+LITTLE = Said("cannot_tell", ("a",), (evidence("a", 2.9, little=True),), {"base": 3.2})
+
+
+@pytest.mark.parametrize("begun", [PARTLY, DOUBTED, LITTLE])
 @pytest.mark.parametrize(
     ("beside_a", "left", "a_beside_b", "added"),
     [
@@ -197,7 +208,20 @@ def test_two_that_only_together_explain_what_is_missing_are_added_and_no_less(
 
 
 def test_beside_what_is_not_certain_nothing_is_tried_where_little_is_left(facts):
-    little = dataclasses.replace(DOUBTED, ranking=(evidence("a", 2.0, accepted=False),))
-    facts({((), ""): little})
+    less = dataclasses.replace(DOUBTED, ranking=(evidence("a", 2.0, accepted=False),))
+    facts({((), ""): less})
+    (only,) = rounds(Model(version="m-v0", effects=()), [], uses=CANDIDATES)
+    assert only.added is None and only.ending == "no effect is named"
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [
+        dataclasses.replace(PARTLY, unsteady="It does not repeat itself."),
+        dataclasses.replace(LITTLE, converged=False),
+    ],
+)
+def test_of_an_unsteady_robot_or_on_a_base_fit_in_doubt_no_second_effect_is_looked_for(facts, begun):
+    facts({((), ""): begun})
     (only,) = rounds(Model(version="m-v0", effects=()), [], uses=CANDIDATES)
     assert only.added is None and only.ending == "no effect is named"

@@ -42,7 +42,7 @@ def recorded(lost: float, noise: float = 0.001) -> list[Measurement]:
 def told(lost: float) -> tuple[Lost | None, str]:
     replay = Replay.of(MODEL, recorded(lost))
     floor = replay.noise_floor(np.zeros_like(replay.measured))
-    return unfollowed(replay), unsteady(replay, floor)
+    return unfollowed(replay), unsteady(replay, floor, overtaken(replay))
 
 
 @pytest.mark.parametrize("lost", [0.1, 0.25])
@@ -89,14 +89,23 @@ def lossy(target: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return heard
 
 
+def halfway(target: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A quarter is lost, and after that a servo of limited speed comes halfway."""
+    heard = lossy(target, rng)
+    after = 1 + np.flatnonzero((heard[1:-1] == heard[:-2]).all(axis=1))
+    heard[after + 1] = (heard[after] + target[after + 1]) / 2
+    return heard
+
+
 def test_commands_that_are_followed_after_the_next_is_due_come_late_and_are_not_lost() -> None:
     late = Replay.of(base_model("hexapod"), hexapod_recorded(swapped))
     found = overtaken(late)
     assert found and 2 <= found.late <= found.let_pass
-    said = unsteady(late, late.noise_floor(np.zeros_like(late.measured)))
+    said = unsteady(late, late.noise_floor(np.zeros_like(late.measured)), found)
     assert f"Of {found.let_pass} commands that it let pass it followed {found.late} when the next one was due" in said
     lost = Replay.of(base_model("hexapod"), hexapod_recorded(lossy))
     assert overtaken(lost) is None and unfollowed(lost), "a lost command is never followed"
+    assert overtaken(Replay.of(base_model("hexapod"), hexapod_recorded(halfway))) is None
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.25])
@@ -109,6 +118,10 @@ def test_commands_that_come_late_are_outside_the_library_whatever_else_is_said()
     ruling = rule([], misfit, 5, misfit, unsteady=UNSTEADY, late=True)
     assert (ruling.verdict, ruling.uses) == (OUTSIDE_LIBRARY, ()) and UNSTEADY in ruling.statement
     assert rule([], misfit, 5, misfit, late=True).verdict == NOTHING_MISSING, "of a robot that repeats itself"
+    one = Misfit(1.1, {"motion": 1.1})
+    assert rule([], one, 1, one, unsteady=UNSTEADY, late=True).verdict == CANNOT_TELL, "of one kind of motion"
+    far = Misfit(9.0, {f"motion-{i}": 9.0 for i in range(5)})
+    assert rule([], far, 5, far, base_converged=False, unsteady=UNSTEADY, late=True).verdict == CANNOT_TELL
 
 
 def test_copies_of_a_recording_and_repeats_that_followed_nothing_do_not_count() -> None:

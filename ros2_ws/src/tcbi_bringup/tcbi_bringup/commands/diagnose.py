@@ -12,6 +12,7 @@ from tcbi_contract.wording import counted
 
 if TYPE_CHECKING:
     from tcbi_infer.diagnose import Diagnosis
+    from tcbi_infer.diagnose.evidence import Evidence
     from tcbi_infer.diagnose.rounds import Round
 
 SHOWN = 10  # candidates in the table, and those that the verdict names
@@ -174,11 +175,9 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
     part = next((e.use for e in d.ranking if e.accepted), "") if d.verdict == OUTSIDE_LIBRARY else ""
     if part and not added and not objection(d.to_json(), part):
         print(f"next: ./tcbi add {part} --model {d.model}              # explains a part; then diagnose that version")
-    if not added and d.verdict == CANNOT_TELL and sum(e.accepted for e in d.ranking) > 1:
-        print(
-            f"next: ./tcbi diagnose BAG… --add --model {d.model}"
-            "              # tries each of them beside the other: both may be missing"
-        )
+    accepted = [e for e in d.ranking if e.accepted]
+    if not added and d.verdict == CANNOT_TELL and not d.unsteady and (tried := _beside(accepted)):
+        print(f"next: ./tcbi diagnose BAG… --add --model {d.model}              # {tried}")
     fitted = [e.use for e in d.ranking if e.refined]
     if not added and d.uses and d.uses[0] in fitted and not objection(d.to_json(), d.uses[0]):
         sure = d.verdict == EFFECT
@@ -187,6 +186,14 @@ def _print(d: "Diagnosis", path: Path, *, added: bool, noted: Sequence[str]) -> 
     for use in (use for use in d.uses if use not in fitted):
         print(f"next: ./tcbi add {use} --model {d.model} --prior")
     print(f"report: {path} ({d.seconds:.0f} s)")
+
+
+def _beside(accepted: "list[Evidence]") -> str:
+    """What --add would try where no single effect is named, or ""."""
+    if len(accepted) > 1:
+        return "tries each of them beside the other: both may be missing"
+    partly = accepted and accepted[0].explains_little
+    return f"looks for another one beside {accepted[0].use}: both may be missing" if partly else ""
 
 
 def _print_steps(found: "list[Round]") -> None:

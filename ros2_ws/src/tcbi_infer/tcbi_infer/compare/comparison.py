@@ -16,7 +16,7 @@ from tcbi_infer.compare.locate import locate
 from tcbi_infer.compare.noise import NoiseFloor
 from tcbi_infer.compare.replay import Replay
 from tcbi_infer.compare.scorer import Scorer, SignalError, Traces, error_over_floor
-from tcbi_infer.compare.steadiness import unsteady
+from tcbi_infer.compare.steadiness import overtaken, unsteady
 from tcbi_infer.compare.timestep import USUAL_STEP, fine_step
 from tcbi_infer.compare.wiring import unjudged
 from tcbi_infer.compare.worst import WorstMoment, worst
@@ -158,7 +158,7 @@ def compare(
     findings = guard(measurements) + common_lag(replay.layout, replay.time, replay.shown, predicted, names)
     findings += _idle_parameters(model, replay, mean, floor.values)
     findings += scorer.divergences()
-    findings += [told] if (told := unsteady(replay, floor)) else []
+    findings += [told] if (told := unsteady(replay, floor, overtaken(replay))) else []
     findings += [f"In the fit behind {model.version}: {told}" for told in model.evidence.get("disagreements", ())]
     where = locate(
         load_rig(model.rig), replay.layout, replay.measurements, replay.time, residual, predicted, floor.values

@@ -25,6 +25,7 @@ FOLLOWS = 0.2  # of a way, that a robot's usual response is at least
 LEAST_SHARE = 0.02  # of the commands, that is worth a word
 LEAST_STEPS = 10  # pairs of responses from which a share is told
 CLEAR = 0.6  # of the way to what another command leads to: at most what a motion stays away from its own
+SLOW = 1 / 3  # of the usual response: as slow may be what a motion might be, that seems to follow another command
 SEVERAL = 3.0  # joints asked to move at a command, each counted by its share of the squared way
 BY_CHANCE, SURE = 0.05, 0.01  # of the commands let pass that look followed late, where all are lost; at this level
 
@@ -44,7 +45,7 @@ class Late(NamedTuple):
     let_pass: int
 
 
-def unsteady(replay: Replay, floor: NoiseFloor) -> str:
+def unsteady(replay: Replay, floor: NoiseFloor, late: Late | None) -> str:
     """A sentence where repeats of the same commands differ by much of how far the joints move; empty where not."""
     joints = replay.layout.where(JOINT)
     if not floor.from_replicates or not len(joints):
@@ -56,13 +57,13 @@ def unsteady(replay: Replay, floor: NoiseFloor) -> str:
         return ""
     return (
         f"The robot does not repeat itself: asked for the same again, a joint is {np.median(apart):.1f} deg elsewhere "
-        f"(root mean square, the median joint), {100 * np.median(share):.0f} % of how far it moves. {_cause(replay)} "
-        "Errors are told in multiples of this, so that hardly any effect can show."
+        f"(root mean square, the median joint), {100 * np.median(share):.0f} % of how far it moves. "
+        f"{_cause(replay, late)} Errors are told in multiples of this, so that hardly any effect can show."
     )
 
 
-def _cause(replay: Replay) -> str:
-    if late := overtaken(replay):
+def _cause(replay: Replay, late: Late | None) -> str:
+    if late:
         return (
             f"Of {late.let_pass} commands that it let pass it followed {late.late} when the next one was due: commands "
             "come late or in another order."
@@ -113,9 +114,10 @@ def overtaken(replay: Replay) -> Late | None:
     """How many of the commands that a robot let pass it followed when the next one was due, if it is more than chance.
 
     A lost command is never followed. One that comes late, or swaps places with the next, is, though the next one was
-    due. Which command a motion follows is told by its target, that of the last three to which it comes nearest. A
-    command that every repeat let pass does not count: the robot is just slow there. None where a few wrongly told may
-    have done it, for a rig whose commands are torques, and for one that moves a joint at a time (`_ages`).
+    due. Which command a motion follows is told by its target, that of the last three to which it comes nearest. Counted
+    is what follows a motion that did as the command before said, after one that was in time. Where a motion was
+    repeated, another repeat must not have done so, too: else the robot may just be slow there. None where a few wrongly
+    told may have done it, for a rig whose commands are torques, and for one that moves a joint at a time.
     """
     if load_rig(replay.rig).kind != "position":
         return None
@@ -129,8 +131,8 @@ def overtaken(replay: Replay) -> Late | None:
     late = count = 0
     for repeats in sets:
         ages = np.stack([_ages(replay, *repeat, usual) for repeat in repeats])
-        before, at, after = ages[:, :-2], ages[:, 1:-1], ages[:, 2:]
-        let_pass = (before <= 0) & (at == 1) & (after >= 0)
+        before, at, after = _last_clear(ages)[:, :-2], ages[:, 1:-1], ages[:, 2:]
+        let_pass = (before == 0) & (at == 1) & (after >= 0)
         if len(repeats) > 1:
             let_pass &= (at <= 0).any(axis=0)
         late, count = late + int((after[let_pass] == 1).sum()), count + int(let_pass.sum())
@@ -148,21 +150,36 @@ def _usual(responses: Sequence[np.ndarray]) -> float:
 def _ages(replay: Replay, member: int, commands: Commands, usual: float) -> np.ndarray:
     """(K,) how many commands ago was sent what the joints follow from each command to the next; -1: it is not clear.
 
-    Several joints must be asked for something else than before: a single one that turns round or sticks goes anywhere.
+    It is clear where the motion comes much nearer to what the usual response to that command is than to any response to
+    another one: after a lost command a servo of limited speed stops halfway. Several joints must be asked for something
+    else than before, for a single one that turns round or sticks goes anywhere.
     """
-    measured, rows, _ = _spans(replay, member, commands)
+    measured, rows, lasts = _spans(replay, member, commands)
     ages = np.full(len(rows), -1)
-    for k in range(1, int(np.searchsorted(rows[:, 1], len(measured)))):
+    for k in range(int(np.searchsorted(rows[:, 1], len(measured)))):
         begin, end = rows[k]
-        targets = commands.target[[k, k - 1, max(k - 2, 0)]]
-        asked = targets[0] - targets[1]
-        away = np.linalg.norm(measured[end] - measured[begin] - usual * (targets - measured[begin]), axis=1)
-        age = int(np.argmin(away))
-        others = [away[i] for i in range(3) if np.linalg.norm(targets[i] - targets[age]) >= STEP]
+        before = commands.target[[k - 1, max(k - 2, 0)]] if k else measured[[begin, begin]]
+        targets = np.stack([commands.target[k], *before])
+        asked, ways, moved = targets[0] - targets[1], targets - measured[begin], measured[end] - measured[begin]
         several = (asked**2).sum() ** 2 >= SEVERAL * (asked**4).sum()
-        if several and np.linalg.norm(asked) >= STEP and away[age] < CLEAR * min(others, default=0.0):
+        if not several or np.linalg.norm(asked) < STEP or lasts[k] < SHORTEST:
+            continue
+        response = ways @ moved / np.maximum((ways**2).sum(axis=1), 1e-12)
+        away = np.linalg.norm(moved - usual * ways, axis=1)
+        nearest = np.linalg.norm(moved - np.clip(response, SLOW * usual, usual)[:, None] * ways, axis=1)
+        age = int(np.argmin(away))
+        others = np.linalg.norm(targets - targets[age], axis=1) >= STEP
+        if others.any() and away[age] < CLEAR * nearest[others].min():
             ages[k] = age
     return ages
+
+
+def _last_clear(ages: np.ndarray) -> np.ndarray:
+    """(R, K) each age that is not clear replaced by the last one before it that is."""
+    filled = ages.copy()
+    for k in range(1, ages.shape[1]):
+        filled[:, k] = np.where(ages[:, k] < 0, filled[:, k - 1], ages[:, k])
+    return filled
 
 
 def _responses(replay: Replay, member: int, commands: Commands) -> np.ndarray:

@@ -264,11 +264,13 @@ class _Run:
         left = untried(self.model, self.uses)
         replayed = {use.partition(":")[0] for use in self.uses if use not in directions.random}
         count = len(replayed) if left else None
-        apart = unsteady(self.replay, self.floor)
-        late = bool(apart and overtaken(self.replay))
+        late = overtaken(self.replay)
+        apart = unsteady(self.replay, self.floor, late)
         random = suspected(self.model, self.replay, directions.random, before.error) if apart and not late else []
         names = [e.use for e in random]
-        ruling = rule(ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count, apart, names, late)
+        ruling = rule(
+            ranking, misfit, kinds, unfitted, before.fit.converged, judge.unfitted, count, apart, names, bool(late)
+        )
         if self.mend:
             ruling = Ruling(CANNOT_TELL, (), MEND_FIRST.format(" ".join(self.mend)))
         errors = {"unfitted": judge.unfitted, "base": before.error}

@@ -13,6 +13,7 @@ from tcbi_contract.wording import with_unit
 EFFECT, CANNOT_TELL = "effect", "cannot_tell"
 NOTHING_MISSING, OUTSIDE_LIBRARY = "nothing_missing", "outside_library"
 WELL_PREDICTED = 3.0  # times the noise floor; of 20 emulated robots with nothing hidden one left more
+EXPLAINED = 1 / 3  # of the excess error: a candidate that explains less leaves "something else is missing" open
 HEADLINES = {
     EFFECT: "An effect is missing",
     CANNOT_TELL: "An effect is missing, but which one cannot be told",
@@ -20,6 +21,7 @@ HEADLINES = {
     OUTSIDE_LIBRARY: "Something is missing that the library does not hold",
 }
 UNEXPLAINED = "Something is missing that no effect tried explains"  # where the library was not tried as a whole
+PARTLY = "Something is missing, of which little is explained"
 NOT_CONVERGED = "The fit of the model did not converge"
 
 
@@ -116,6 +118,12 @@ class Evidence:
     values: tuple[float, ...] = ()
     spread: tuple[tuple[float, ...], ...] = ()
     joint_gains: tuple[float, ...] = ()
+
+    @property
+    def explains_little(self) -> bool:
+        """Of an error that is large, on the sealed motions and on those held out in turn, as far as both are known."""
+        pairs = [(self.error_before, self.error_after), self.held_out or (self.error_before, self.error_after)]
+        return all(before > WELL_PREDICTED and before - after < EXPLAINED * (before - 1.0) for before, after in pairs)
 
     def sizes_in_words(self) -> str:
         """Its parameters with their 90 % intervals, for a table."""
@@ -357,7 +365,9 @@ class Diagnosis:
             return "These rollouts cannot tell"
         if in_doubt(self.base.converged, (self.base.held_out or (self.base.error_before,))[0], self.ranking):
             return NOT_CONVERGED
-        accepted = any(e.accepted for e in self.ranking)
+        accepted = [e for e in self.ranking if e.accepted]
+        if accepted and all(e.explains_little for e in accepted):
+            return PARTLY
         return HEADLINES[CANNOT_TELL] if accepted else "An effect may be missing"
 
     @property

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from tcbi_contract.wording import counted
 from tcbi_infer.diagnose.adopt import adopt, objection
 from tcbi_infer.diagnose.diagnosis import diagnose
-from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, OUTSIDE_LIBRARY, WELL_PREDICTED, Diagnosis
+from tcbi_infer.diagnose.evidence import CANNOT_TELL, EFFECT, OUTSIDE_LIBRARY, WELL_PREDICTED, Diagnosis, Evidence
 from tcbi_sim.measurement import Measurement
 from tcbi_sim.model import Model
 
@@ -138,11 +138,13 @@ class _Search:
     def _beside_each_other(self, model: Model, found: Diagnosis) -> tuple[list[_Step], str]:
         """Two effects to add where none is named, or what was tried in vain."""
         accepted = [e for e in found.ranking if e.accepted]
+        if found.unsteady:  # then no diagnosis names an effect
+            return [], NO_EFFECT
         if found.verdict == CANNOT_TELL and len(accepted) > 1 and accepted[1].use not in accepted[0].alike:
             a, b = accepted[0].use, accepted[1].use
             why_not = f"no effect is named: {a} and {b} were tried beside each other, and neither is needed there"
             return self._two(model, found, a, b), why_not
-        a = accepted[0].use if found.verdict == OUTSIDE_LIBRARY and accepted else _leader_in_doubt(found)
+        a = _part(found, accepted) or _leader_in_doubt(found)
         if not a:
             return [], NO_EFFECT
         why_not = (
@@ -183,6 +185,14 @@ class _Search:
         """A diagnosis that names this one effect; None where it does not."""
         found = self.diagnose(model, [use])
         return found if found.verdict == EFFECT else None
+
+
+def _part(found: Diagnosis, accepted: Sequence[Evidence]) -> str:
+    """The accepted candidate that explains only a part of what the model lacks, or ""."""
+    if not accepted or not found.base.converged:
+        return ""
+    alone = found.verdict == CANNOT_TELL and len(found.uses) == 1 and accepted[0].explains_little
+    return accepted[0].use if alone or found.verdict == OUTSIDE_LIBRARY else ""
 
 
 def _leader_in_doubt(found: Diagnosis) -> str:

@@ -131,7 +131,7 @@ def expected_draws(
 def _crowding(points: np.ndarray, centers: np.ndarray) -> np.ndarray:
     """(N,) log-density at (N, P) of even standard normal kernels on (n, P) centers, but for a constant.
 
-    In single precision, of places about the centers' mean: good to 1e-4, and it only weighs candidates.
+    In single precision, of places about the centers' mean: good to a few 1e-3 at worst, and it only weighs candidates.
     """
     middle = centers.mean(axis=0)
     x, c = (np.asarray(v - middle, np.float32) for v in (points, centers))
