@@ -185,7 +185,9 @@ def test_two_that_change_the_signals_alike_are_not_tried_beside_each_other(facts
     assert only.added is None
 
 
-LITTLE = Said("cannot_tell", ("a",), (evidence("a", 2.9, little=True),), {"base": 3.2})
+LITTLE = Said(
+    "cannot_tell", ("a",), (evidence("a", 2.9, little=True), evidence("b", 8.0, accepted=False)), {"base": 3.2}
+)
 
 
 @pytest.mark.parametrize("begun", [PARTLY, DOUBTED, LITTLE])
