@@ -71,6 +71,14 @@ def test_weighted_quantiles_of_equal_weights_are_plain_ones() -> None:
     assert quantiles(values, np.full(1000, 1e-3), [0.05, 0.95])[:, 0] == pytest.approx([49.5, 949.5], abs=0.6)
 
 
+def test_a_sample_size_that_was_asked_for_survives_the_rounding_of_weights() -> None:
+    rng = np.random.default_rng(3)
+    for least in np.linspace(10.0, 40.0, 31):
+        energy, base = rng.exponential(size=200), np.zeros(200)
+        logs = base - temper(energy, base, 1e4, least) * energy
+        assert effective_sample_size(normalised(np.round(logs - logs.max(), 9))) >= least
+
+
 def test_tempering_keeps_the_effective_sample_size() -> None:
     energy = np.append(np.random.default_rng(0).random(200) * 100, np.inf)
     base = np.zeros(201)

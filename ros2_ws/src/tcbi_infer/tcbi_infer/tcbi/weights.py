@@ -2,6 +2,7 @@
 
 import numpy as np
 
+SPARE = 1e-6  # of an effective sample size beyond what is asked for, so that rounded weights still have it
 TEMPERATURES = 61  # at which `temper` looks, over six decades below the value wanted
 
 
@@ -70,5 +71,5 @@ def temper(energy: np.ndarray, log_base: np.ndarray, alpha: float, least_ess: fl
     low, high = grid[enough], grid[enough - 1]
     for _ in range(50):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if ess(middle) >= least_ess else (low, middle)
+        low, high = (middle, high) if ess(middle) >= least_ess + SPARE else (low, middle)
     return low
