@@ -94,6 +94,8 @@ def test_the_headline_is_no_surer_than_the_verdict():
     unsure = (dataclasses.replace(NAMED, accepted=False), OTHER)
     assert headline() == "An effect is missing, but which one cannot be told"
     assert headline(ranking=unsure) == "An effect may be missing"
+    little = [dataclasses.replace(e, accepted=True, error_before=3.2, error_after=2.9, held_out=None) for e in unsure]
+    assert headline(ranking=little[:1]) == "Something is missing, of which little is explained"
     assert headline(ranking=(), effects=(), uses=(), kinds=1) == "These rollouts cannot tell"
 
 
