@@ -2,6 +2,8 @@
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from tcbi_infer.compare.steadiness import Lost, overtaken, unfollowed, unsteady
 from tcbi_infer.diagnose.at_random import suspected
 from tcbi_infer.diagnose.evidence import EFFECT, Evidence, Misfit
 from tcbi_infer.diagnose.verdict import CANNOT_TELL, NOTHING_MISSING, OUTSIDE_LIBRARY, Ruling, rule
+from tcbi_policy.gaits import Gait
 from tcbi_sim.engine import simulate
 from tcbi_sim.measurement import Commands, Measurement, Scenario
 from tcbi_sim.model import base_model
@@ -106,6 +109,68 @@ def test_commands_that_are_followed_after_the_next_is_due_come_late_and_are_not_
     lost = Replay.of(base_model("hexapod"), hexapod_recorded(lossy))
     assert overtaken(lost) is None and unfollowed(lost), "a lost command is never followed"
     assert overtaken(Replay.of(base_model("hexapod"), hexapod_recorded(halfway))) is None
+
+
+def servo_positions(target: np.ndarray, rng: np.random.Generator, kind: dict[str, float]) -> np.ndarray:
+    """(T, J) of first-order servos (30 ms) that ramp to what they hear: no contacts, and no code of the simulation.
+
+    kind: `lost` and `swapped` shares of the commands, `latency` in s, the fastest `speed` in rad/s, and whether a servo
+    keeps the speed that its command was `sent` with, so that it comes only halfway after a lost one.
+    """
+    arrivals, k = [], 0
+    while k < len(target):
+        waits = k < len(target) - 1 and rng.random() < kind.get("swapped", 0.0)
+        if k == 0 or rng.random() >= kind.get("lost", 0.0):
+            arrivals.append(((k + waits) * PERIOD + kind.get("latency", 0.0), k))
+        k += 1 + waits
+    step, found = 0.002, []
+    x = start = goal = np.zeros(target.shape[1])
+    begun, duration = 0.0, np.full(target.shape[1], PERIOD)
+    for i in range(round(len(target) * PERIOD / step)):
+        now = (i + 1) * step
+        share = np.clip((now - begun) / duration, 0.0, 1.0)
+        if arrivals and arrivals[0][0] <= now:
+            k = arrivals.pop(0)[1]
+            start, goal, begun = start + share * (goal - start), target[k], now
+            asked = np.abs(target[k] - (target[k - 1] if k else 0.0)) / PERIOD if kind.get("sent") else np.inf
+            duration = np.where(np.isinf(asked), PERIOD, np.abs(goal - start) / np.maximum(asked, 1e-3))
+            duration = np.maximum(duration, np.abs(goal - start) / kind.get("speed", np.inf)) + 1e-6
+            share = np.zeros(len(goal))
+        x = x + step / 0.03 * (start + share * (goal - start) - x)
+        if i % 10 == 9:
+            found.append(x)
+    return np.array(found) + 0.001 * rng.standard_normal((len(found), len(x)))
+
+
+def servos(kind: dict[str, float], seed: int) -> Any:
+    """What `overtaken` asks of a replay: five gaits of 2.2 s, two of them twice, as in a quick recording."""
+    rng, measured, repeats, commands = np.random.default_rng(seed), [], [], []
+    for gait, count in {"steps": 2, "tripod": 2, "sinus": 1, "squat": 1, "dither": 1}.items():
+        target = Gait(gait).targets[:11]
+        repeats.append(tuple(range(len(measured), len(measured) + count)))
+        measured += [np.degrees(servo_positions(target, rng, kind)) for _ in range(count)]
+        commands.append(Commands(np.arange(11) * PERIOD, target, PERIOD))
+    layout = SimpleNamespace(where=lambda _: np.arange(18))
+    return SimpleNamespace(
+        rig="hexapod", repeats=repeats, commands=commands, measured=np.array(measured), layout=layout,
+        time=0.02 * np.arange(1, len(measured[0]) + 1),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"lost": 0.25}, {"lost": 0.25, "sent": True}, {"lost": 0.1, "sent": True}, {"lost": 0.25, "speed": 0.8},
+        {"lost": 0.2, "latency": 0.1}, {"lost": 0.2, "latency": 0.15}, {"lost": 0.2, "latency": 0.2},
+    ],
+)  # fmt: skip
+def test_commands_that_are_lost_on_slow_or_late_servos_are_not_told_to_come_late(kind: dict[str, float]) -> None:
+    assert [overtaken(servos(kind, seed)) for seed in range(3)] == [None] * 3
+
+
+def test_swapped_commands_show_in_most_quick_recordings() -> None:
+    found = [overtaken(servos({"swapped": 0.25}, seed)) for seed in range(4)]
+    assert sum(late is not None for late in found) >= 3
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.25])
