@@ -11,6 +11,7 @@ from tcbi_cases import bench_rollouts
 from tcbi_contract.names import SLOPE_LIMIT
 from tcbi_infer.diagnose.motions import Motion
 from tcbi_infer.report import Report, add_inference
+from tcbi_infer.statistics import CALIBRATED
 from tcbi_infer.tcbi.advice import Advice, advise, candidates, hindrance, unexplained
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import METHODS
@@ -56,6 +57,18 @@ def test_a_motion_with_steps_is_advised_before_one_that_holds_still(bench: tuple
     assert told == [(0.0, "hold"), (0.5, "steps"), (1.0, "")]
     alone = advise(*bench, motions=[STILL])
     assert not any(a.tells for a in alone) and alone[0].left > 0.8
+
+
+def test_a_motion_tells_more_in_time_than_by_its_distributions() -> None:
+    model, measurements = bench_rollouts(count=4)
+    distributions = tuple(name for name in CALIBRATED if not name.endswith("_motion"))
+    alone, both = (Problem.of(model, measurements, statistics=s, timestep=0.01) for s in (distributions, CALIBRATED))
+    assert [s.name for s in both.followed] == ["joint_motion"] and not alone.followed
+    result = infer(alone, "calibrated", particles=30, generations=4)
+    unsure = tuple(dataclasses.replace(e, identified=False) for e in result.estimates)
+    result = dataclasses.replace(result, estimates=unsure, fits=True, ess=20.0)
+    left = [{a.parameter: a.left for a in advise(p, result, motions=[STEPS])} for p in (alone, both)]
+    assert left[1]["gain"] < left[0]["gain"] - 0.2 and sum(left[1].values()) < sum(left[0].values()) - 0.4
 
 
 def test_where_recordings_differ_from_their_simulations_less_is_promised(bench: tuple[Problem, Result]) -> None:

@@ -6,20 +6,24 @@
 Draws of the posterior are simulated on motions that are ready to be recorded. Were the motion recorded, its statistics
 would tell the parameter as well as they do among these draws: a ridge regression of the parameter on them, judged on
 the draws left out one by one, leaves a share of its variance unexplained. Simulations alone would tell anything, so
-the statistics get noise first: as much as the recorded rollouts differ from their own simulations.
+the statistics get noise first: as much as the recorded rollouts differ from their own simulations. Where the inference
+compares motions in time, so does the advice: by the directions in which the draws' motions differ most, with the noise
+that the inference allows for.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tcbi_contract.names import SLOPE_LIMIT
 from tcbi_infer.diagnose.motions import STILL, Motion, gait_motion, ready_motions
 from tcbi_infer.statistics import RolloutArrays, Statistic, failing, from_measurements, samples
+from tcbi_infer.tcbi.calibration import LARGEST_ALPHA
+from tcbi_infer.tcbi.in_time import Differences, means_of, stretches
 from tcbi_infer.tcbi.prior import Prior
-from tcbi_infer.tcbi.problem import Problem
+from tcbi_infer.tcbi.problem import Problem, Simulated, apart_in_time
 from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, LEAST_ESS, Result
 from tcbi_policy.gaits import GAITS
 from tcbi_policy.reward import inclination
@@ -31,6 +35,7 @@ FEWEST = 30  # of them that a regression is made of
 REPEATS = 2  # that a motion is recorded, as its command does
 FALLEN, MOST_FALLEN = 1.0, 0.1  # rad of inclination; share of the draws
 STIFFNESS = np.geomspace(1e-4, 1e3, 15)  # of the regression, times the features' mean square
+TINY = 1e-9  # noise of motions that the model reproduces to the last bit, in their unit
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,7 @@ def advise(
     tried = candidates(problem) if motions is None else motions
     rng = np.random.default_rng(problem.seed)
     unit = Prior.of(result.updated_model()).unit(rng.random((DRAWS, len(problem.model.names))))
-    noise = residuals(problem, np.exp(result.log_weights) @ result.unit)
+    noise = noise_of(problem, result)
     left = np.full((len(tried), len(unsure)), np.nan)  # where too few simulations stayed upright to tell
     for k, motion in enumerate(tried):
         progress(k / len(tried), motion.name)
@@ -139,14 +144,41 @@ def features(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
     return np.concatenate([mean, np.sqrt(square)], axis=-1)
 
 
-def residuals(problem: Problem, unit: np.ndarray) -> dict[str, np.ndarray]:
-    """Statistic -> (2 C,) root mean square, over the rollouts, of measured minus simulated features at (P,) `unit`."""
-    simulated = problem.rollouts(unit[None]).readings
+class Noise(NamedTuple):
+    """What the recorded rollouts differ by from their own simulations with the posterior's mean."""
+
+    features: dict[str, np.ndarray]  # statistic -> (2 C,) root mean square over the rollouts
+    apart: Differences  # in time
+    alpha: float  # that the data support
+
+    def in_time(self, problem: Problem, seconds: float) -> np.ndarray:
+        """(K,) standard deviation, in its unit, of a mean over a tenth of a second in a motion of so many seconds.
+
+        It makes a normal likelihood of what the inference weighs motions by.
+        """
+        observed = problem.observed.in_time._replace(stretches=REPEATS * stretches(seconds))
+        noise, freedom = observed.noise(self.apart, 0)
+        return np.sqrt(observed.scale(noise / freedom) / (2 * self.alpha))
+
+
+def noise_of(problem: Problem, result: Result) -> Noise:
+    """At the mean of what was inferred."""
+    simulated = problem.rollouts((np.exp(result.log_weights) @ result.unit)[None])
+    last = result.generations[-1] if result.generations else {}
+    return Noise(
+        residuals(problem, simulated),
+        apart_in_time(problem, simulated),
+        last.get("alpha_supported", LARGEST_ALPHA) or LARGEST_ALPHA,
+    )
+
+
+def residuals(problem: Problem, one: Simulated) -> dict[str, np.ndarray]:
+    """Statistic -> (2 C,) root mean square, over the rollouts, of measured minus one simulation's features."""
     found = {}
     for statistic in problem.statistics:
         apart = [
             features(statistic, group.arrays)[0] - features(statistic, arrays)[0]
-            for group, arrays in zip(problem.groups, simulated, strict=True)
+            for group, arrays in zip(problem.groups, one.readings, strict=True)
         ]
         square = np.concatenate(apart) ** 2
         known = np.isfinite(square)
@@ -155,7 +187,7 @@ def residuals(problem: Problem, unit: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def statistics_of(
-    problem: Problem, motion: Motion, unit: np.ndarray, noise: dict[str, np.ndarray], rng: np.random.Generator
+    problem: Problem, motion: Motion, unit: np.ndarray, noise: Noise, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which (n,) of (M, P) draws have statistics of a motion, and these (n, F), noise added and in units of it."""
     out = simulate(
@@ -169,16 +201,35 @@ def statistics_of(
         return np.zeros(0, int), np.zeros((0, 0))
     kept = np.flatnonzero(upright & ~out.diverged[:, 0])
     recorded = [replace(out.measurement(n), commands=motion.commands) for n in kept.tolist()]
-    arrays = problem.read(from_measurements(recorded, recorded[0].time), [rng])
+    exact = from_measurements(recorded, recorded[0].time)
+    arrays = problem.read(exact, [rng])
     columns = []
     for statistic in problem.statistics:
         with failing(statistic):
             if statistic.missing(arrays):
                 continue
-        values, sd = features(statistic, arrays)[0], noise[statistic.name]
+        values, sd = features(statistic, arrays)[0], noise.features[statistic.name]
         usable = (sd > 0) & np.isfinite(values).all(axis=0)
         columns.append(values[:, usable] / sd[usable] + rng.standard_normal((len(kept), usable.sum())) / REPEATS**0.5)
+    seconds = motion.scenario.duration
+    for statistic, sd_in_time in zip(problem.followed, noise.in_time(problem, seconds), strict=True):
+        with failing(statistic):
+            if statistic.missing(exact):
+                continue
+        columns.append(directions(means_of(statistic, exact)[0], sd_in_time, rng))
     return kept, np.concatenate(columns, axis=1) if columns else np.zeros((len(kept), 0))
+
+
+def directions(motion: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
+    """(n, D) of (n, C, K) motions along the directions in which they differ by more than the noise, noise added.
+
+    In units of the noise, `sd` for each value, which is the same in every direction. An inference knows the directions
+    from simulations without noise; a regression on n draws with noise in all values would not find them.
+    """
+    flat = np.nan_to_num(motion.reshape(len(motion), -1))
+    scores, size, _ = np.linalg.svd((flat - flat.mean(axis=0)) / max(sd, TINY), full_matrices=False)
+    told = size**2 / len(flat) > 1 / REPEATS
+    return scores[:, told] * size[told] + rng.standard_normal((len(flat), told.sum())) / REPEATS**0.5
 
 
 def unexplained(seen: np.ndarray, value: np.ndarray) -> float:

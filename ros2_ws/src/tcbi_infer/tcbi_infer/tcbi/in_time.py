@@ -140,8 +140,7 @@ def comparable(
     kept, counts, variances, lines = [], [], [], []
     for statistic in statistics:
         values = [
-            np.where(again, _means(_samples(statistic, arrays), arrays), np.nan)
-            for arrays, again in zip(real, replayed, strict=True)
+            np.where(again, means_of(statistic, arrays), np.nan) for arrays, again in zip(real, replayed, strict=True)
         ]
         known = [np.isfinite(v).astype(float) for v in values]
         count = np.concatenate([_at_lags(k, blocks) for k in known], axis=1)[0]
@@ -154,12 +153,12 @@ def comparable(
             lines.append(
                 f"statistic {statistic.name} left out: the rollouts are too short, or it never changes in them"
             )
-    stretches = sum(
-        arrays.count[1] * max(1.0, float(np.ptp(arrays.time)) / STRETCH_S)
+    compared = sum(
+        arrays.count[1] * stretches(float(np.ptp(arrays.time)))
         for arrays, again in zip(real, replayed, strict=True)
         if again
     )
-    found = InTime(np.stack(counts, axis=1), np.array(variances), stretches) if kept else NOTHING
+    found = InTime(np.stack(counts, axis=1), np.array(variances), compared) if kept else NOTHING
     return tuple(kept), found, lines
 
 
@@ -209,6 +208,20 @@ def raised(sums: np.ndarray, by: np.ndarray) -> np.ndarray:
     squares = sums[..., 0]
     share = np.maximum(1 + by / np.where(squares > 0, squares, np.inf), 0.0)
     return (share[..., None] * sums).astype(np.float32)
+
+
+def stretches(seconds: float) -> float:
+    """That a rollout counts as, in what the model does otherwise in it."""
+    return max(1.0, seconds / STRETCH_S)
+
+
+def means_of(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
+    """(N, S, C, K) means of a statistic's samples over `MEAN_S`, NaN of none.
+
+    Raises:
+      InferError: the statistic has no sample at each time.
+    """
+    return _means(_samples(statistic, arrays), arrays)
 
 
 def _samples(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:

@@ -26,7 +26,7 @@ from tcbi_infer.seen import used_before
 from tcbi_infer.statistics import CALIBRATED, RolloutArrays, Statistic, averaged, samples, select
 from tcbi_infer.tcbi.channels import LEAST_SAMPLES, by_channel, counted, mean_reward, names_of, oddities, pooled
 from tcbi_infer.tcbi.features import Features, Observed, divergences
-from tcbi_infer.tcbi.in_time import comparable, differences
+from tcbi_infer.tcbi.in_time import Differences, comparable, differences
 from tcbi_infer.tcbi.loop import AUTO, find_controllers
 from tcbi_infer.tcbi.pooled import JS, pooled_divergence
 from tcbi_infer.tcbi.prior import FLAT, MODEL, Prior, about
@@ -327,17 +327,22 @@ def histogram_features(problem: Problem, simulated: Simulated) -> Features:
     return _features(problem, simulated, parts, counts, divergences(problem.observed, counts))
 
 
-def _features(
-    problem: Problem, simulated: Simulated, parts: list[list[np.ndarray]], counts: np.ndarray, divergence: np.ndarray
-) -> Features:
-    """What is compared in time goes behind the histograms' divergences."""
-    found = differences(
+def apart_in_time(problem: Problem, simulated: Simulated) -> Differences:
+    """What simulations differ by from the robot in what is compared in time."""
+    return differences(
         problem.followed,
         [g.recorded for g in problem.groups],
         simulated.exact,
         [c is None for c in problem.controllers],
         problem.blocks,
     )
+
+
+def _features(
+    problem: Problem, simulated: Simulated, parts: list[list[np.ndarray]], counts: np.ndarray, divergence: np.ndarray
+) -> Features:
+    """What is compared in time goes behind the histograms' divergences."""
+    found = apart_in_time(problem, simulated)
     divergence = np.concatenate([divergence, problem.observed.in_time.divergences(found)], axis=1)
     return Features(counts, divergence, mean_reward(problem.statistics, parts), simulated.valid, found)
 
