@@ -122,7 +122,7 @@ def run_inference(job: Job, emit: Emit) -> None:
     def watch(progress: Progress) -> None:
         nonlocal told
         done = (progress.generation - 1 + progress.share) / progress.generations
-        stage = "checking predictions" if progress.checking else f"generation {progress.generation}"
+        stage = progress.stage or f"generation {progress.generation}"
         emit("progress", stage=stage, share=done, remaining_s=progress.remaining_s)
         if progress.generation - 1 > told and progress.share < 1:  # the last one's is the posterior itself
             told = progress.generation - 1

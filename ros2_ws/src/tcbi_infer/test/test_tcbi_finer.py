@@ -11,7 +11,7 @@ from tcbi_cases import BENCH_TRUTH, bench_rollouts
 
 from tcbi_infer.compare.timestep import USUAL_STEP
 from tcbi_infer.tcbi import calibrated, checkpoint, finer
-from tcbi_infer.tcbi.driver import Interrupted, Progress, infer, run_name
+from tcbi_infer.tcbi.driver import CHECKING, FINER, Interrupted, Progress, infer, run_name
 from tcbi_infer.tcbi.expansion import expansion
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.method import find_method
@@ -122,7 +122,9 @@ def test_a_divergence_that_is_not_finite_costs_that_particle_alone(problem: Prob
 def test_it_is_done_once_before_the_last_generation_and_resumed(problem: Problem, tmp_path: Path) -> None:
     settings = {"seed": 0, "particles": 20, "generations": 3}
     assert problem.finer is not None and problem.finer.timestep == USUAL_STEP < problem.timestep
-    through = infer(problem, folder=tmp_path / "through", **settings)
+    told: list[Progress] = []
+    through = infer(problem, folder=tmp_path / "through", watch=told.append, **settings)
+    assert [(p.stage, p.generation, p.share) for p in told if p.stage] == [(FINER, 2, 1.0), (CHECKING, 3, 1.0)]
     with pytest.raises(Interrupted):
         infer(problem, folder=tmp_path / "killed", watch=_kill_in_the_last, **settings)
     (kept,) = (tmp_path / "killed").glob("*/state.npz")

@@ -288,8 +288,8 @@ def _watcher(advance: Callable[..., None], names: tuple[str, ...]) -> Callable[[
 
 
 def _state(progress: "Progress", names: tuple[str, ...]) -> str:
-    if progress.checking:
-        return "checking the posterior's predictions"
+    if progress.stage:
+        return progress.stage
     if progress.ess != progress.ess:  # NaN: no generation is done yet
         return f"generation {progress.generation}"
     known = ", ".join(f"{n} {m:.3g} ± {s:.2g}" for n, m, s in zip(names, progress.mean, progress.sd, strict=True))

@@ -38,6 +38,8 @@ from tcbi_sim.engine import SimError
 from tcbi_sim.errors import UnknownNameError
 from tcbi_sim.ray_workers import versions
 
+FINER = "simulating the nearest particles with short time steps"
+CHECKING = "checking the posterior's predictions"
 LEAST_PARTICLES = 10  # a generation; from fewer no spread can be told
 RESUMED = "resumed from a state that an earlier run left"
 UNREADABLE = "what an earlier run left cannot be read: the inference started over"
@@ -58,7 +60,7 @@ class Progress(NamedTuple):
     ess: float  # after the last whole generation
     mean: np.ndarray  # (P,) physical, after the last whole generation
     sd: np.ndarray  # (P,)
-    checking: bool = False  # generations are done; their posterior is compared with the robot in time
+    stage: str = ""  # what is at work beside the generations' own simulations: `FINER` or `CHECKING`
 
 
 class Interrupted(InferError):
@@ -230,12 +232,12 @@ class _Loop:
             rng, began = np.random.default_rng([self.seed, self.state.generation + 1]), time.monotonic()
             self._tell(0.0)
             self.simulated = self.diverged = 0
-            self.state, found = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
+            state, found = self.method.step(rng, self.state, self._simulate, self.real, self.settings)
             if self.method.finely and (finer := self.problem.finer):
                 simulate = functools.partial(self._simulate_finely, finer)
-                self.state, anew = self.method.finely(rng, self.state, simulate, self.real, self.settings)
+                state, anew = self.method.finely(rng, state, simulate, self.real, self.settings)
                 found = anew or found
-            self.last = self._told(found)
+            self.state, self.last = state, self._told(found)
             self.here += 1
             self._record(time.monotonic() - began)
             if self.place is not None:
@@ -251,6 +253,7 @@ class _Loop:
         return seen
 
     def _simulate_finely(self, finer: Problem, unit: np.ndarray) -> Any:
+        self._tell(1.0, FINER)
         with _simulating():
             return finer.simulate(unit, None, self.method.view)
 
@@ -289,7 +292,7 @@ class _Loop:
         found = {"mean": mean, "variance": variance, "unit_mean": unit_mean, "variance_ratio": ratio}
         return {name: values.tolist() for name, values in found.items()}
 
-    def _tell(self, share: float, checking: bool = False) -> None:
+    def _tell(self, share: float, stage: str = "") -> None:
         if self.watch is None:
             return
         nan = np.full(self.dimensions, np.nan)
@@ -307,7 +310,7 @@ class _Loop:
                 last["ess"],
                 np.asarray(last["mean"]),
                 np.sqrt(last["variance"]),
-                checking,
+                stage,
             )
         )
 
@@ -322,7 +325,7 @@ class _Loop:
         last = self._last_generation()
         before = self._generation_before()
         if self.method.judges:
-            self._tell(1.0, checking=True)
+            self._tell(1.0, CHECKING)
         with _simulating():
             seen = departures(problem, unit, log_weights) if self.method.judges else Departures({}, 0)
         checked = seen.particles
