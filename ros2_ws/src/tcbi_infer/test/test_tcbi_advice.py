@@ -12,7 +12,7 @@ from tcbi_contract.names import SLOPE_LIMIT
 from tcbi_infer.diagnose.motions import Motion
 from tcbi_infer.report import Report, add_inference
 from tcbi_infer.statistics import CALIBRATED
-from tcbi_infer.tcbi.advice import Advice, advise, candidates, hindrance, unexplained
+from tcbi_infer.tcbi.advice import Advice, advise, candidates, caution, hindrance, unexplained
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_infer.tcbi.problem import Problem
@@ -90,6 +90,17 @@ def test_nothing_is_advised_where_nothing_is_open_or_nothing_can_be_said(bench: 
         assert hindrance(worse) and advise(problem, worse, motions=[STEPS]) == ()
     (none, *_) = advise(problem, result, motions=[])
     assert not none.tells and "no motion could be tried" in none.line()
+
+
+def test_where_particles_are_too_few_for_the_data_more_generations_are_asked_for_first(bench) -> None:
+    result = bench[1]
+    for alpha, said in ((0.05, True), (0.3, False)):
+        weighed = dataclasses.replace(result, generations=({"alpha": alpha, "alpha_supported": 0.4},))
+        assert bool(caution(weighed)) == said
+    assert "weighed at 12% of what they support: more generations" in caution(
+        dataclasses.replace(result, generations=({"alpha": 0.05, "alpha_supported": 0.4},))
+    )
+    assert caution(result) == ""
 
 
 def test_a_legged_robot_is_sent_onto_steeper_slopes_by_a_command() -> None:

@@ -11,12 +11,13 @@ from tcbi_cases import BENCH_TRUTH, bench_rollouts
 
 from tcbi_infer.compare.timestep import USUAL_STEP
 from tcbi_infer.tcbi import calibrated, checkpoint, finer
-from tcbi_infer.tcbi.driver import CHECKING, FINER, Interrupted, Progress, infer, run_name
+from tcbi_infer.tcbi.driver import CHECKING, FINER, Interrupted, Progress, infer
 from tcbi_infer.tcbi.expansion import expansion
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.method import find_method
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.proposal import to_probit
+from tcbi_infer.tcbi.run_name import run_name
 
 Simulate = Callable[[np.ndarray], Features]
 

@@ -3,6 +3,10 @@
 import dataclasses
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +21,15 @@ from tcbi_infer.errors import InferError, SettingError
 from tcbi_infer.statistics import Statistic
 from tcbi_infer.tcbi import checkpoint, driver
 from tcbi_infer.tcbi.channels import LEAST_SAMPLES
-from tcbi_infer.tcbi.driver import BOUNDS, Interrupted, Progress, infer, run_name, settings_of
+from tcbi_infer.tcbi.driver import BOUNDS, Interrupted, Progress, infer, settings_of
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_infer.tcbi.problem import LOOKED_AT, Problem
 from tcbi_infer.tcbi.result import Result
+from tcbi_infer.tcbi.run_name import run_name
+from tcbi_sim.engine import Simulator
 from tcbi_sim.errors import UnknownNameError
+from tcbi_sim.model import Model
 from tcbi_sim.store import ModelStore
 
 SMALL = {"particles": 20, "generations": 3}
@@ -146,6 +153,9 @@ def test_what_an_inference_goes_on_from_is_known_by_the_rollouts_content_and_one
     assert name(Problem.of(model, other, timestep=0.01)) != before
     stiffer = dataclasses.replace(model, joint_gains=(1.1,))
     assert name(Problem.of(stiffer, measurements, timestep=0.01)) != before
+    wider = dataclasses.replace(model.parameters[0], high=2 * model.parameters[0].high)
+    widened = dataclasses.replace(model, parameters=(wider, *model.parameters[1:]))
+    assert name(Problem.of(widened, measurements, timestep=0.01)) != before, "as a warning advises"
     (tmp_path / "mine.py").write_text("STATISTIC = 1")
     assert name(problem) != before
 
@@ -158,6 +168,26 @@ def test_two_processes_keep_the_same_inference_under_temporary_names_of_their_ow
     monkeypatch.setattr(Path, "replace", lambda path, to: (written.append(path), replace(path, to))[1])
     infer(problem, "paper", folder=tmp_path, **SMALL)
     assert len(written) == len(set(written)) == 6
+
+
+def test_an_inference_that_is_killed_within_a_generation_goes_on_to_the_same_bits(
+    problem: Problem, tmp_path: Path
+) -> None:
+    script = (
+        "import os, signal, sys; from pathlib import Path; from tcbi_cases import bench_rollouts\n"
+        "from tcbi_infer.tcbi.driver import infer; from tcbi_infer.tcbi.problem import Problem\n"
+        "kill = lambda p: os.kill(os.getpid(), signal.SIGKILL) if p.generation == 3 and p.share > 0 else None\n"
+        "infer(Problem.of(*bench_rollouts(), timestep=0.01), seed=2, folder=Path(sys.argv[1]), watch=kill, "
+        "particles=20, generations=3)\n"
+    )
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, "-c", script, tmp_path], env=environment, check=False)
+    assert done.returncode == -signal.SIGKILL
+    resumed = infer(problem, seed=2, folder=tmp_path, **SMALL)
+    through = infer(problem, seed=2, **SMALL)
+    assert any("resumed" in line for line in resumed.warnings)
+    assert np.array_equal(resumed.unit, through.unit) and np.array_equal(resumed.log_weights, through.log_weights)
 
 
 def test_a_damaged_state_is_not_used_and_that_is_told(problem: Problem, tmp_path: Path) -> None:
@@ -181,6 +211,9 @@ def test_the_posterior_opens_in_arviz_and_becomes_a_model_version(result: Result
     import arviz
 
     data = arviz.from_netcdf(path)
+    assert set(arviz.summary(data, kind="stats").index) == {"gain", "damping", "friction"}
+    plot = getattr(arviz, "plot_pair", None)
+    assert plot is not None and plot(data, var_names=["gain", "friction"]) is not None
     assert set(data["posterior"].data_vars) == {"gain", "damping", "friction"}
     mean = float(np.exp(result.log_weights) @ result.particles[:, 0])
     assert float(data["posterior"]["gain"].mean()) == pytest.approx(mean, rel=0.05)
@@ -242,7 +275,8 @@ def test_channels_with_too_few_samples_to_tell_anything_are_named_and_left_out(b
     with pytest.raises(InferError, match=rf"no statistic has {LEAST_SAMPLES} finite samples .*tried: {few.name}"):
         Problem.of(*bench, statistics=(few.name,), timestep=0.01)
     problem = Problem.of(*bench, statistics=("joint_tracking", few.name, enough.name), timestep=0.01)
-    assert f"with fewer than {LEAST_SAMPLES} samples, left out: {few.name}/x" in problem.warnings
+    (line,) = (line for line in problem.warnings if f"with fewer than {LEAST_SAMPLES} samples, left out" in line)
+    assert line.endswith(f": {few.name}/x ({LEAST_SAMPLES - 1})") and "longer rollouts" in line
     assert f"{enough.name}/x" in problem.observed.channels
 
 
@@ -286,7 +320,7 @@ def test_a_statistic_that_is_the_same_in_every_sample_is_named(divergence: str, 
     known = {**statistics.library(), "frozen": frozen}
     monkeypatch.setattr(statistics, "library", lambda: known)
     problem = Problem.of(*bench, statistics=("joint_tracking", "frozen"), divergence_name=divergence, timestep=0.01)
-    assert "the same in every sample, so it tells little: frozen/x (3)" in problem.warnings
+    assert "the same in every sample, so it tells little (--statistics leaves it out): frozen/x (3)" in problem.warnings
     result = infer(problem, seed=0, particles=20, generations=2)
     assert np.isfinite(result.unit).all() and result.ess > 1
     assert np.isfinite(list(result.generations[-1]["misfit"].values())).all()
@@ -322,6 +356,23 @@ def test_simulations_that_diverge_leave_every_method_a_finite_posterior(problem:
     assert np.isfinite(weights @ result.unit).all() and np.isfinite(result.generations[-1]["divergence"]).all()
     if method != "simopt":  # whose posterior is a Gaussian fitted to the others
         assert weights[result.unit[:, 0] >= 0.67].sum() < 1e-6
+
+
+def test_physics_that_ends_in_no_number_costs_those_particles_alone(bench, monkeypatch) -> None:
+    """Of stiff servos what is not finite comes out of MuJoCo itself."""
+    model, measurements = bench
+    begin, limit = Simulator.__init__, float(model.parameters[0].from_unit(0.67))
+
+    def spoilt(simulator: Simulator, model: Model, values: np.ndarray, *args: Any, **more: Any) -> None:
+        begin(simulator, model, values, *args, **more)
+        simulator._batch.bind("qvel")[values[:, 0] > limit] = 1e12
+
+    monkeypatch.setattr(Simulator, "__init__", spoilt)
+    result = infer(Problem.of(model, measurements, timestep=0.01), particles=30, generations=3)
+    lost = result.particles[:, 0] > limit
+    assert sum(g["diverged"] for g in result.generations) >= 3
+    assert any("diverged in a rollout" in line for line in result.warnings)
+    assert not lost.any() and np.isfinite(np.exp(result.log_weights) @ result.unit).all()
 
 
 def test_how_many_particles_diverged_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

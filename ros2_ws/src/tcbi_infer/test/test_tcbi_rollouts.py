@@ -7,6 +7,7 @@ import pytest
 from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
 
 from tcbi_infer.errors import InferError
+from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.loop import find_controllers
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_infer.tcbi.problem import Problem
@@ -25,6 +26,21 @@ def bench():
 def test_rollouts_of_another_rig_are_refused(bench) -> None:
     with pytest.raises(InferError, match=r"is of rig hexapod.*of servo_bench"):
         Problem.of(base_model("hexapod"), bench[1])
+    mixed = [*hexapod_rollouts("gait:tripod"), bench[1][0]]
+    with pytest.raises(InferError, match=rf"but {bench[1][0].rollout_id} is of servo_bench; infer each rig's rollouts"):
+        Problem.of(base_model("hexapod"), mixed)
+
+
+def test_of_a_robot_that_never_moved_nothing_is_claimed(bench) -> None:
+    model, measurements = bench
+    still = [
+        dataclasses.replace(m, joint_position=np.full_like(m.joint_position, 0.1 + 1e-9 * i))
+        for i, m in enumerate(measurements)
+    ]
+    found = infer(Problem.of(model, still, timestep=0.01), particles=20, generations=2)
+    assert any(line.startswith("the same in every sample") and "early_response" in line for line in found.warnings)
+    assert any("no parameters reproduce joint positions" in line for line in found.warnings)
+    assert found.fits is False and not any(e.identified for e in found.estimates)
 
 
 def test_too_few_or_identical_rollouts_are_refused(bench) -> None:
@@ -60,7 +76,7 @@ def test_the_one_of_many_rollouts_that_is_of_something_else_is_named(bench, what
         other = dataclasses.replace(stray, **{"source": {"source": "elsewhere"}, "policy": {"policy_id": "lost"}}[what])
     (line,) = (s for s in checked(model, [*measurements[:3], other, *measurements[4:]])[1] if "taken together" in s)
     usual = {"task": "steps", "source": stray.source, "policy": stray.policy_id}[what]
-    assert line.endswith(f"; all but {stray.rollout_id} are of {usual}")
+    assert line.endswith(f"; all but {stray.rollout_id} are of {usual}: leave these out, or infer from them apart")
     halves = [dataclasses.replace(m, source=f"{i % 2}") for i, m in enumerate(measurements)]
     assert "all but" not in " ".join(checked(model, halves)[1])
 

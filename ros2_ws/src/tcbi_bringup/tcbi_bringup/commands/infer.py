@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, infer, save, print."""
     from tcbi_infer import posterior
     from tcbi_infer.report import Report, add_inference, add_kept_ladder
-    from tcbi_infer.tcbi.advice import hindrance
+    from tcbi_infer.tcbi.advice import caution, hindrance
     from tcbi_infer.tcbi.driver import Interrupted, infer
     from tcbi_infer.tcbi.method import find_method
     from tcbi_infer.tcbi.problem import Problem
@@ -177,7 +177,7 @@ def run(args: argparse.Namespace) -> int:
     add_inference(report, result, method, truth, advice)
     path = report.write(args.report or store.models / saved.version / "inference.html")
     if args.json:
-        advised = {} if advice is None else {"advice": [a.as_json() for a in advice]}
+        advised = {} if advice is None else {"advice": [a.as_json() for a in advice], "advice_caution": caution(result)}
         beside = (
             {"truth": [beside_truth(e, truth[e.name]) for e in result.estimates if e.name in truth]} if truth else {}
         )
@@ -188,6 +188,8 @@ def run(args: argparse.Namespace) -> int:
             print(f"next: the same with --advise says which motions would tell {', '.join(unknown)}")
         for a in advice or ():
             print(a.line())
+        if advice and (line := caution(result)):
+            console.note(line)
         print(f"report: {path}")
     return 0
 

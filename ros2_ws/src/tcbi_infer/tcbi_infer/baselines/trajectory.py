@@ -4,7 +4,7 @@ The observations are the paper's state, joint angles and (where measured) roll a
 simulation of the same scenario. Equation 8's sums over time are kept for each observation apart, as means, so that
 weights W can be set afterwards and the trajectories themselves dropped. Beside them stands BayesSim's summary of a
 rollout (Ramos et al. 2019, section IV): means and variances of the state's differences over a control period, and
-their products with what was commanded.
+each joint's product with what it lacked of its command (BayesSim: every state's with every action).
 """
 
 from typing import NamedTuple

@@ -8,6 +8,7 @@ import numpy as np
 
 from tcbi_infer.report.page import Figure, Report, Section, Table
 from tcbi_infer.report.plots import BLUE, GREY, INK, ORANGE, STYLE, canvas, to_svg
+from tcbi_infer.tcbi.advice import caution
 from tcbi_infer.tcbi.prior import doubtful
 from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, LEAST_ESS
 
@@ -58,7 +59,7 @@ def add_inference(
     notes = list(result.warnings)
     report.add(Section("What the rollouts say", text, notes, verdict=verdict, tone=tone, table=Table(head, rows)))
     if advice:
-        report.add(_advice(advice))
+        report.add(_advice(advice, caution(result)))
     figures = [
         Figure(_densities(result, i, known), f"{e.name}: prior and posterior.") for i, e in enumerate(result.estimates)
     ]
@@ -68,7 +69,7 @@ def add_inference(
         report.add(_generations(result, known))
 
 
-def _advice(advice: "Sequence[Advice]") -> Section:
+def _advice(advice: "Sequence[Advice]", why_less: str) -> Section:
     head = ("parameter", "motion", "", "variance left", "would it tell?", "command")
     rows = [(a.parameter, a.motion, a.description, f"{a.left:.0%}", a.tells, a.command) for a in advice]
     text = (
@@ -76,7 +77,8 @@ def _advice(advice: "Sequence[Advice]") -> Section:
         "and how much of its variance two recordings of that motion would leave. This comes from simulations of this "
         "model, with as much noise as the rollouts differ from theirs."
     )
-    return Section("What to record next", [text], table=Table(head, rows))
+    notes = [why_less] if why_less else []
+    return Section("What to record next", [text], notes, table=Table(head, rows))
 
 
 def posterior_rows(result: "Result", method: "Method") -> list[list[Any]]:

@@ -35,6 +35,7 @@ FEWEST = 30  # of them that a regression is made of
 REPEATS = 2  # that a motion is recorded, as its command does
 FALLEN, MOST_FALLEN = 1.0, 0.1  # rad of inclination; share of the draws
 STIFFNESS = np.geomspace(1e-4, 1e3, 15)  # of the regression, times the features' mean square
+MUCH = 0.5  # of what the data support: with less tempering, not data, makes most of a posterior's variance
 TINY = 1e-9  # noise of motions that the model reproduces to the last bit, in their unit
 
 
@@ -80,6 +81,18 @@ def hindrance(result: Result) -> str:
     if result.ess < LEAST_ESS:
         return f"no advice on what to record: fewer than {LEAST_ESS} effective particles; take more generations first"
     return ""
+
+
+def caution(result: Result) -> str:
+    """ "" or why less may come of the advice than it promises: particles are too few for the data at hand already."""
+    last = result.generations[-1] if result.generations else {}
+    supported, alpha = last.get("alpha_supported"), last.get("alpha")
+    if not supported or alpha is None or alpha >= MUCH * supported:
+        return ""
+    return (
+        f"with so few particles the data are weighed at {alpha / supported:.0%} of what they support: more generations "
+        "may tell these parameters without any recording, and until then a recording tells less than is promised"
+    )
 
 
 def advise(

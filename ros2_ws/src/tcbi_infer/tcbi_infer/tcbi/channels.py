@@ -9,7 +9,7 @@ from tcbi_infer.tcbi.features import Observed, binned
 # of a channel: with fewer the histogram of a right model may lie 6 to 11 times as far off as their scatter suggests (a
 # simulation of such draws), and be taken for a wrong one; with 5 at most 3 times
 LEAST_SAMPLES = 5
-SILENT = f"with fewer than {LEAST_SAMPLES} samples, left out"
+SILENT = f"with fewer than {LEAST_SAMPLES} samples, left out; more or longer rollouts have more"
 CROWDED = 0.9  # share of a channel's samples in one bin, from which it is said
 
 
@@ -65,14 +65,17 @@ def oddities(names: list[str], used: list[int], samples: list[np.ndarray], obser
       samples: of all channels.
       observed: histograms of those that are looked at.
     """
-    silent = [name for i, name in enumerate(names) if i not in used]
+    silent = [f"{name} ({samples[i].size})" for i, name in enumerate(names) if i not in used]
     constant = [f"{names[i]} ({samples[i][0]:.3g})" for i in used if np.ptp(samples[i]) == 0]
     counts = observed.counts.sum(axis=0)
     shares = zip(used, counts.max(axis=-1) / counts.sum(axis=-1), strict=True)
     crowded = [f"{names[i]} ({share:.1%})" for i, share in shares if CROWDED < share < 1]
     found = (
         (SILENT, silent),
-        ("the same in every sample, so it tells little", constant),
+        (
+            "the same in every sample, so it tells little (--statistics leaves it out)",
+            constant,
+        ),
         (f"nearly all samples lie in one of {counts.shape[-1]} bins, so it tells little", crowded),
     )
     return tuple(f"{what}: {', '.join(which)}" for what, which in found if which)

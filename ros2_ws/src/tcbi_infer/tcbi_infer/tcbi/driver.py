@@ -8,9 +8,7 @@ bits as one that ran through.
 """
 
 import contextlib
-import dataclasses
 import functools
-import hashlib
 import json
 import math
 import time
@@ -28,10 +26,11 @@ from tcbi_infer.tcbi.goodness import allowing, goodness_of_fit, in_doubt, piled,
 from tcbi_infer.tcbi.method import Generation, Method, find_method
 from tcbi_infer.tcbi.mixed import mixed
 from tcbi_infer.tcbi.pooled import JS
-from tcbi_infer.tcbi.predictive import Departures, departures
+from tcbi_infer.tcbi.predictive import Departures, departures, usual_simulations
 from tcbi_infer.tcbi.prior import doubtful
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_infer.tcbi.result import Result, estimates, prior_variances
+from tcbi_infer.tcbi.run_name import run_name
 from tcbi_infer.tcbi.servos import scattered
 from tcbi_infer.tcbi.weights import effective_sample_size, mean_and_variance, normalised
 from tcbi_sim.engine import SimError
@@ -128,44 +127,6 @@ def _checked(name: str, value: float, default: float) -> float:
     return kind(value)
 
 
-def run_name(problem: Problem, method: str, settings: Any, seed: int) -> str:
-    """A name for an inference: the same for the same rollouts, model, method, settings, seed and versions."""
-    what = {
-        "model": problem.model.version,
-        "effects": problem.model.effects,
-        "joint_gains": problem.model.joint_gains,
-        "fixed": problem.model.fixed,
-        "rollouts": [_digest(m) for g in problem.groups for m in g.measurements],
-        "versions": versions(),
-        "statistics": problem.observed.channels,
-        "closed": [controller is not None for controller in problem.controllers],
-        "timestep": [problem.timestep, problem.short_step],
-        "divergence": problem.divergence_name,
-        "bins": [b.bins for b in problem.binnings[:1]],
-        "prior": None if problem.prior is None else problem.prior.means.tolist(),
-        "method": method,
-        "settings": list(settings),
-        "seed": seed,
-    }
-    digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
-    return f"infer-{method}-{digest[:12]}"
-
-
-def _digest(value: Any) -> str:
-    """Of all that a measurement holds, its arrays to the last bit."""
-    if isinstance(value, np.ndarray):
-        told = f"{value.dtype}{value.shape}".encode() + value.tobytes()
-    elif dataclasses.is_dataclass(value):
-        told = "".join(_digest(getattr(value, field.name)) for field in dataclasses.fields(value)).encode()
-    elif isinstance(value, Mapping):
-        told = "".join(_digest((key, *value[key])) for key in sorted(value)).encode()
-    elif isinstance(value, tuple):
-        told = "".join(map(_digest, value)).encode()
-    else:
-        told = repr(value).encode()
-    return hashlib.sha256(told).hexdigest()
-
-
 @contextlib.contextmanager
 def _stopping(place: Path | None) -> Iterator[None]:
     try:
@@ -205,6 +166,7 @@ class _Loop:
         self.begun = time.monotonic()
         self.here = 0  # generations run by this process
         self.simulated = self.diverged = 0  # particles of this generation
+        self.check = usual_simulations(self.dimensions) / settings.particles if method.judges else 0.0  # in generations
 
     def _begin(self) -> tuple[Any, list[dict[str, Any]], str]:
         """The state, the generations before it, and a sentence on what an earlier run left; "" if that was nothing."""
@@ -298,7 +260,7 @@ class _Loop:
         nan = np.full(self.dimensions, np.nan)
         last: dict[str, Any] = self.history[-1] if self.history else {"ess": np.nan, "mean": nan, "variance": nan}
         done = self.here + share
-        left = self.settings.generations - self.state.generation - share
+        left = self.settings.generations - self.state.generation - share + self.check
         elapsed = time.monotonic() - self.begun
         remaining = elapsed / done * max(left, 0.0) if done > 0 else np.nan
         self.watch(

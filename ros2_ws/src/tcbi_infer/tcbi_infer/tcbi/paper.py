@@ -13,6 +13,9 @@ What Algorithm 1 leaves open, and how it is read here:
 - The ratio of contact time has a sample per foot and window of 2 s: a value per rollout would be as few samples as
   rollouts. The paper names no window.
 - Lines 1 and 7 estimate distributions by histograms of 20 bins (`tcbi_infer.divergence`).
+- Simulated readings have the sensors' noise, and are averaged where the robot's are (`Problem.read`).
+- The policy acts in rollouts of a trained policy; a scripted gait, which does not react, is replayed (`loop`).
+- A particle of which a rollout diverges weighs nothing.
 - Convergence: "when the difference between the current and the previous iteration of the posterior mean value is below
   a threshold", "also confirmed ... when improvement of the task reward is below a threshold": both must hold; where the
   reward is unknown, the first alone.

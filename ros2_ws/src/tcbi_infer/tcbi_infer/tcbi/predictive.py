@@ -152,6 +152,11 @@ def _products(groups: tuple[np.ndarray, ...], valid: np.ndarray) -> np.ndarray:
     return np.stack(found) / max(samples, 1)
 
 
+def usual_simulations(dimensions: int) -> int:
+    """Particles that `departures` simulates where it need not look again."""
+    return DRAWS + CLOSE_DRAWS * dimensions
+
+
 def _mixture(products: np.ndarray, ridge: float | None = None) -> np.ndarray:
     """(V,) weights of sum 1 with which differences of these (V, V) mean products nearly cancel."""
     held = products + (_ridge(products) if ridge is None else ridge) * np.eye(len(products))

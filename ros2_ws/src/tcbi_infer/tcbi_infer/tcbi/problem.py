@@ -162,7 +162,7 @@ class Problem:
         counts = counted(parts, [g.arrays.count for g in groups], used, list(binnings), blocks)[0]
         owner = owner[used]
         present = sorted(set(owner.tolist()))
-        observed = Observed(
+        observed = Observed(  # line 1 of Algorithm 1
             counts,
             np.array([*(present.index(o) for o in owner), *(len(present) + k for k in range(len(followed)))]),
             (*(kept[i].name for i in present), *(s.name for s in followed)),

@@ -137,8 +137,12 @@ def _torn(m: Measurement) -> bool:
 def _mixture(measurements: Sequence[Measurement]) -> list[str]:
     found = []
     for kind, of, how in (
-        ("tasks", lambda m: m.scenario.task, ": their distributions are pooled"),
-        ("sources", lambda m: m.source, ", in one posterior"),
+        (
+            "tasks",
+            lambda m: m.scenario.task,
+            ": their distributions are pooled; if they shall not be, infer apart",
+        ),
+        ("sources", lambda m: m.source, ", in one posterior; infer from each apart if they are not one robot"),
         ("policies", lambda m: m.policy_id, ""),
     ):
         seen = {m.rollout_id: of(m) for m in measurements}
@@ -158,7 +162,8 @@ def _strays(seen: Mapping[str, str]) -> str:
     odd = len(seen) - count
     if odd > STRAY * len(seen) and not (odd == 1 and len(seen) > 2):
         return ""
-    return f"; all but {some([r for r, what in seen.items() if what != usual])} are of {usual or 'an unnamed one'}"
+    strays = some([r for r, what in seen.items() if what != usual])
+    return f"; all but {strays} are of {usual or 'an unnamed one'}: leave these out, or infer from them apart"
 
 
 def blocks_for(rollouts: int) -> int:
