@@ -7,10 +7,11 @@
 Discrete events. The driver is one thread: it hands a chunk out (`hand_out_s`), takes its result (`take_s`, and
 `take_s_per_byte`), and weighs all particles after each generation (`weigh_s` for a thousand, growing by `weigh_power`).
 What all chunks of a generation share goes to each machine over the driver's network link, one after the other; results
-queue for the same link. A chunk has `chunk_s` of its own besides its steps, and takes longer by a factor drawn from a
-log-normal distribution (`straggling`) and by its machine's (`slow_share` of them are half as fast). Machines are lost
-at random; the chunks on them begin anew elsewhere after Ray has noticed (`notice_s`). The defaults are what
-bench/scale.py measured (docs/scale.md) or, from `bandwidth` on, assumed.
+queue for the same link. Before the last generation a few particles are simulated with short steps, and after it some
+are looked at in time: for the slowest of these the driver waits. A chunk has `chunk_s` of its own besides its steps,
+and takes longer by a factor drawn from a log-normal distribution (`straggling`) and by its machine's (`slow_share` of
+them are half as fast). Machines are lost at random; the chunks on them begin anew elsewhere after Ray has noticed
+(`notice_s`). The defaults are what bench/scale.py measured (docs/scale.md) or, from `bandwidth` on, assumed.
 """
 
 import argparse
@@ -40,7 +41,11 @@ class Case:
     per_particle: float = 20  # rollouts
     generations: float = 6
     rollout_s: float = 9.0  # 8 s, and 1 s of settling
-    timestep: float = 0.01
+    timestep: float = 0.005
+    finer: float = 6  # particles that are simulated once more before the last generation, with so many times the steps
+    finer_steps: float = 2.5
+    check: float = 48  # particles of the posterior that are looked at in time, and those close to the best of them then
+    close: float = 24
     least_steps: float = 10_000
     most_steps: float = 200_000
     # measured
@@ -49,10 +54,10 @@ class Case:
     hand_out_s: float = 0.48e-3  # of the driver, for each chunk
     take_s: float = 0.48e-3
     take_s_per_byte: float = 0.7e-9
-    bytes_back: float = 3900.0  # for each rollout
+    bytes_back: float = 4900.0  # for each rollout
     shared_bytes: float = 6e6  # of a generation, to each machine
-    weigh_s: float = 0.25  # of the driver, for a thousand particles
-    weigh_power: float = 1.23  # of the number of particles
+    weigh_s: float = 0.39  # of the driver, for a thousand particles, as it follows from 6400 and 12,800
+    weigh_power: float = 0.95  # of the number of particles
     # assumed
     bandwidth: float = 1.25e9  # bytes/s of the driver's network link
     cores_each: float = 32  # of a machine
@@ -83,11 +88,15 @@ def run(case: Case, cores: int, seed: int = 0) -> Outcome:
     particles = max(1, round(case.rollouts / case.per_particle / case.generations))
     weighing = 0.0
     for generation in range(round(case.generations)):
+        if generation == round(case.generations) - 1:
+            world.generation(round(case.finer), case.finer_steps)
         world.generation(particles)
         done = particles * (generation + 1)
         weigh = case.weigh_s * (done / 1000) ** case.weigh_power
         world.now += weigh
         weighing += weigh
+    for looked_at in (case.check, case.close):
+        world.generation(round(looked_at))
     steps = particles * case.generations * case.per_particle * case.rollout_s / case.timestep
     return Outcome(
         world.now,
@@ -112,10 +121,12 @@ class World:
         self.driver_busy = self.link_busy = 0.0
         self.losses = self.again = 0
 
-    def generation(self, particles: int) -> None:
-        """Hand out the chunks of a generation, and wait for all of them."""
+    def generation(self, particles: int, finer: float = 1.0) -> None:
+        """Hand out the chunks of so many particles, with so many times the usual steps, and wait for all of them."""
+        if not particles:
+            return
         case = self.case
-        steps = case.per_particle * case.rollout_s / case.timestep  # of a particle
+        steps = finer * case.per_particle * case.rollout_s / case.timestep  # of a particle
         most = max(1, int(case.most_steps / steps))
         least = max(1, round(case.least_steps / steps))
         number = max(min(EACH * self.cores, particles // least), -(-particles // most), 1)
