@@ -39,6 +39,7 @@ def result(bench: dict[str, ModuleType], truth: int, method: str, error: float, 
     return {"case": json.loads(case(bench, truth, method).key()), "parameters": [parameter], "cpu_s": 1.0} | {
         "code": versions()["tcbi"],
         "ess": 1e9,
+        "simulations": 6000,
         "says_misfit": False,
         "says_outside": False,
     }
@@ -92,7 +93,11 @@ def test_methods_of_several_budgets_are_compared_with_the_rollouts_that_each_too
     found[-1]["simulations"] = 9000
     words = "calibrated's error over its, alpha=5, 50 x 3: 6000 simulated rollouts to 7000"
     row = value(bench["figures"].figures(found), words)
-    assert row["value"] == 0.5 and row["target"] is None
+    assert row["value"] == 0.5 and row["target"] == 1.0
+    for one in found[:3]:
+        one["simulations"] = 7400
+    row = value(bench["figures"].figures(found), words.replace("6000", "7400"))
+    assert row["value"] == 0.5 and row["target"] is None, "no equal budgets"
     apart = bench["figures"].figures(changed(own, task="balance") + found[3:])
     assert not any("error over its" in row["name"] for row in apart)
 

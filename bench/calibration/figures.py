@@ -15,7 +15,7 @@ AIMED = {"task": "forward", "rollouts": 20, "noise": 0}
 TARGET_COVERAGE = (0.85, 0.95)  # TCBI's, where the model can be right
 TARGET_NOISE = 1.25  # error with noise over error without
 TARGET_SAID = 0.9  # share of hidden effects after which TCBI calls the model wrong, as the benchmark `hidden` flags
-ALIKE = 1.05  # times the simulated rollouts of another method, above which it is said how many each took
+ALIKE = 1.05  # times the simulated rollouts of another method: beyond it the budgets are no equal ones, and are told
 PAPER = 50 * 15 * 20  # rollouts that Algorithm 1 simulates with Table 2's values
 TARGET_BUDGET = 0.2  # of those, TCBI's
 FLAT_SD = 12**-0.5  # of a flat prior, in shares of its range
@@ -38,7 +38,7 @@ def figures(found: list[Result]) -> list[Row]:
             rows += _ratio(f"{name}: error over that without noise", group, quiet, most)
         for own in groups.values() if case["method"] != TCBI else ():
             if _comparable(own[0]["case"], case):
-                equal = budget(own[0]["case"]) == budget(case) or simulated(own) <= ALIKE * simulated(group)
+                equal = simulated(own) <= ALIKE * simulated(group)
                 words = f"{name}: {TCBI}'s error over its{_differing(own, group)}"
                 rows += _ratio(words, own, group, 1.0 if equal or _is_the_papers(case) else None)
                 rows += _spent(own) if _is_the_papers(case) else []
