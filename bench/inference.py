@@ -137,7 +137,7 @@ def memory() -> list[dict[str, Any]]:
     peak, kept = json.loads(done.stdout)
     name = f"memory at {MANY} particles x {ROLLOUTS} rollouts x {LONG_S:g} s"
     return [
-        figure(f"{name}: peak over {BEFORE + 1} generations", peak, "MiB", most=2048),
+        figure(f"{name}: peak over {BEFORE + 1} generations, without the check in time", peak, "MiB", most=2048),
         figure("what a particle keeps", 1024 * kept, "KiB"),
     ]
 

@@ -6,13 +6,24 @@ import shlex
 import numpy as np
 import pytest
 from legged_cases import walk
-from tcbi_cases import bench_rollouts
+from tcbi_cases import bench_rollouts, hexapod_rollouts
 
 from tcbi_contract.names import SLOPE_LIMIT
 from tcbi_infer.diagnose.motions import Motion
 from tcbi_infer.report import Report, add_inference
 from tcbi_infer.statistics import CALIBRATED
-from tcbi_infer.tcbi.advice import Advice, advise, candidates, caution, hindrance, unexplained
+from tcbi_infer.tcbi.advice import (
+    LEAST_ALPHA,
+    REPEATS,
+    Advice,
+    advise,
+    candidates,
+    caution,
+    directions,
+    hindrance,
+    residuals,
+    unexplained,
+)
 from tcbi_infer.tcbi.driver import infer
 from tcbi_infer.tcbi.method import METHODS
 from tcbi_infer.tcbi.problem import Problem
@@ -60,15 +71,44 @@ def test_a_motion_with_steps_is_advised_before_one_that_holds_still(bench: tuple
 
 
 def test_a_motion_tells_more_in_time_than_by_its_distributions() -> None:
+    """Of four searches that are known, what three parameters keep in all falls from 1.0 to 1.8 to 0.4 to 1.0."""
     model, measurements = bench_rollouts(count=4)
     distributions = tuple(name for name in CALIBRATED if not name.endswith("_motion"))
     alone, both = (Problem.of(model, measurements, statistics=s, timestep=0.01) for s in (distributions, CALIBRATED))
     assert [s.name for s in both.followed] == ["joint_motion"] and not alone.followed
-    result = infer(alone, "calibrated", particles=30, generations=4)
-    unsure = tuple(dataclasses.replace(e, identified=False) for e in result.estimates)
-    result = dataclasses.replace(result, estimates=unsure, fits=True, ess=20.0)
-    left = [{a.parameter: a.left for a in advise(p, result, motions=[STEPS])} for p in (alone, both)]
-    assert left[1]["gain"] < left[0]["gain"] - 0.2 and sum(left[1].values()) < sum(left[0].values()) - 0.4
+    left = np.zeros(2)
+    for seed in range(3):
+        result = infer(alone, "calibrated", particles=30, generations=4, seed=seed)
+        unsure = tuple(dataclasses.replace(e, identified=False) for e in result.estimates)
+        result = dataclasses.replace(result, estimates=unsure, fits=True, ess=20.0)
+        left += [sum(a.left for a in advise(p, result, motions=[STEPS])) for p in (alone, both)]
+    assert left[1] < 0.85 * left[0]
+
+
+def test_only_directions_beyond_the_noise_are_looked_along_and_these_get_as_much_noise() -> None:
+    rng, line = np.random.default_rng(0), np.random.default_rng(1).standard_normal((2, 50))
+    line /= np.linalg.norm(line)
+    size = rng.standard_normal((4000, 1, 1))
+    told = directions(0.3 * 5 * size * line, 0.3, rng)
+    assert told.shape == (4000, 1) and told.var() == pytest.approx(25 + 1 / REPEATS, rel=0.1)
+    assert abs(np.corrcoef(told[:, 0], size[:, 0, 0])[0, 1]) == pytest.approx(5 / np.sqrt(25 + 1 / REPEATS), abs=0.01)
+    assert directions(0.3 * 0.1 * size * line, 0.3, rng).shape == (4000, 0)
+
+
+def test_where_a_policy_acts_and_nothing_is_compared_in_time_distributions_are_looked_at_alone() -> None:
+    walking = hexapod_rollouts("balance", count=2)
+    problem = Problem.of(base_model("hexapod"), walking, loop="acting", timestep=0.01)
+    assert not problem.followed
+    twist = [motion for motion in candidates(problem) if motion.name == "gait:twist"][:1]
+    advice = advise(problem, infer(problem, "prior"), motions=twist)
+    assert [a.parameter for a in advice] == list(problem.model.names) and all(0 < a.left <= 1 for a in advice)
+
+
+def test_where_rollouts_contradict_each_other_the_noise_is_largest(bench: tuple[Problem, Result]) -> None:
+    problem, result = bench
+    weighed = [dataclasses.replace(result, generations=({"alpha_supported": alpha},)) for alpha in (0.0, 0.5)]
+    sds = [residuals(problem, found).sd_in_time(problem, 3.0) for found in weighed]
+    assert sds[0] == pytest.approx(np.sqrt(0.5 / LEAST_ALPHA) * sds[1])
 
 
 def test_where_recordings_differ_from_their_simulations_less_is_promised(bench: tuple[Problem, Result]) -> None:
@@ -92,15 +132,12 @@ def test_nothing_is_advised_where_nothing_is_open_or_nothing_can_be_said(bench: 
     assert not none.tells and "no motion could be tried" in none.line()
 
 
-def test_where_particles_are_too_few_for_the_data_more_generations_are_asked_for_first(bench) -> None:
+def test_where_particles_are_too_few_for_the_data_more_generations_come_first(bench: tuple[Problem, Result]) -> None:
     result = bench[1]
-    for alpha, said in ((0.05, True), (0.3, False)):
-        weighed = dataclasses.replace(result, generations=({"alpha": alpha, "alpha_supported": 0.4},))
-        assert bool(caution(weighed)) == said
-    assert "weighed at 12% of what they support: more generations" in caution(
-        dataclasses.replace(result, generations=({"alpha": 0.05, "alpha_supported": 0.4},))
-    )
-    assert caution(result) == ""
+    for alpha, said in ((0.05, "weighed at 12% of what they support"), (0.19, "48%"), (0.2, ""), (0.4, "")):
+        line = caution(dataclasses.replace(result, generations=({"alpha": alpha, "alpha_supported": 0.4},)))
+        assert said in line and bool(line) == bool(said)
+    assert caution(result) == "", "a method without alpha"
 
 
 def test_a_legged_robot_is_sent_onto_steeper_slopes_by_a_command() -> None:

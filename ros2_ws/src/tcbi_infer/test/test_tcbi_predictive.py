@@ -8,7 +8,7 @@ from tcbi_cases import BENCH_TRUTH, bench_rollouts, hexapod_rollouts
 
 from tcbi_infer.tcbi import driver, problem
 from tcbi_infer.tcbi.driver import infer
-from tcbi_infer.tcbi.predictive import CLOSE_DRAWS, DEPARTED, JOINTS, TILTS, departures
+from tcbi_infer.tcbi.predictive import CLOSE_DRAWS, DEPARTED, DRAWS, JOINTS, TILTS, departures
 from tcbi_infer.tcbi.problem import Problem
 from tcbi_sim.model import base_model
 
@@ -102,3 +102,14 @@ def test_who_watches_is_told_when_generations_are_over_and_predictions_are_check
     infer(Problem.of(BENCH, bench_rollouts()[1], timestep=0.01), method, watch=told.append, particles=10, generations=2)
     assert [p.stage for p in told if p.stage] == ([driver.CHECKING] if method == "calibrated" else [])
     assert bool(told[-1].stage) == (method == "calibrated")
+
+
+def test_the_estimate_counts_the_check_that_comes_after_the_generations(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[driver.Progress] = []
+    monkeypatch.setattr(driver.time, "monotonic", lambda: float(len(told)))
+    infer(Problem.of(BENCH, bench_rollouts()[1], timestep=0.01), watch=told.append, particles=24, generations=2)
+    check = (DRAWS + CLOSE_DRAWS * 3) / 24
+    assert told[-1].stage == driver.CHECKING
+    assert told[-1].remaining_s == pytest.approx((len(told) - 1) / 2 * check)
+    (half,) = (i for i, p in enumerate(told) if (p.generation, p.share) == (2, 0.0))
+    assert told[half].remaining_s == pytest.approx(half * (1 + check))

@@ -177,7 +177,9 @@ def run(args: argparse.Namespace) -> int:
     add_inference(report, result, method, truth, advice)
     path = report.write(args.report or store.models / saved.version / "inference.html")
     if args.json:
-        advised = {} if advice is None else {"advice": [a.as_json() for a in advice], "advice_caution": caution(result)}
+        advised: dict[str, Any] = {} if advice is None else {"advice": [a.as_json() for a in advice]}
+        if advice:
+            advised["advice_caution"] = caution(result)
         beside = (
             {"truth": [beside_truth(e, truth[e.name]) for e in result.estimates if e.name in truth]} if truth else {}
         )

@@ -7,8 +7,8 @@ Draws of the posterior are simulated on motions that are ready to be recorded. W
 would tell the parameter as well as they do among these draws: a ridge regression of the parameter on them, judged on
 the draws left out one by one, leaves a share of its variance unexplained. Simulations alone would tell anything, so
 the statistics get noise first: as much as the recorded rollouts differ from their own simulations. Where the inference
-compares motions in time, so does the advice: by the directions in which the draws' motions differ most, with the noise
-that the inference allows for.
+compares motions in time, so does the advice: by the directions in which the draws' motions differ most, with as much
+noise as makes a normal likelihood of how the inference weighs them.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,11 +19,12 @@ import numpy as np
 
 from tcbi_contract.names import SLOPE_LIMIT
 from tcbi_infer.diagnose.motions import STILL, Motion, gait_motion, ready_motions
+from tcbi_infer.errors import InferError
 from tcbi_infer.statistics import RolloutArrays, Statistic, failing, from_measurements, samples
 from tcbi_infer.tcbi.calibration import LARGEST_ALPHA
 from tcbi_infer.tcbi.in_time import Differences, means_of, stretches
 from tcbi_infer.tcbi.prior import Prior
-from tcbi_infer.tcbi.problem import Problem, Simulated, apart_in_time
+from tcbi_infer.tcbi.problem import Problem, Simulated, differences_of
 from tcbi_infer.tcbi.result import IDENTIFIED_BELOW, LEAST_ESS, Result
 from tcbi_policy.gaits import GAITS
 from tcbi_policy.reward import inclination
@@ -35,7 +36,8 @@ FEWEST = 30  # of them that a regression is made of
 REPEATS = 2  # that a motion is recorded, as its command does
 FALLEN, MOST_FALLEN = 1.0, 0.1  # rad of inclination; share of the draws
 STIFFNESS = np.geomspace(1e-4, 1e3, 15)  # of the regression, times the features' mean square
-MUCH = 0.5  # of what the data support: with less tempering, not data, makes most of a posterior's variance
+WELL_WEIGHED = 0.5  # share of what the data support, below which tempering makes most of a posterior's variance
+LEAST_ALPHA = 1e-4  # where rollouts contradict each other however little they weigh
 TINY = 1e-9  # noise of motions that the model reproduces to the last bit, in their unit
 
 
@@ -85,13 +87,13 @@ def hindrance(result: Result) -> str:
 
 def caution(result: Result) -> str:
     """ "" or why less may come of the advice than it promises: particles are too few for the data at hand already."""
-    last = result.generations[-1] if result.generations else {}
+    last = _last(result)
     supported, alpha = last.get("alpha_supported"), last.get("alpha")
-    if not supported or alpha is None or alpha >= MUCH * supported:
+    if not supported or alpha is None or alpha >= WELL_WEIGHED * supported:
         return ""
     return (
-        f"with so few particles the data are weighed at {alpha / supported:.0%} of what they support: more generations "
-        "may tell these parameters without any recording, and until then a recording tells less than is promised"
+        f"with so few particles the data are weighed at {alpha / supported:.0%} of what they support, and a recording "
+        "tells less than is promised: more generations come first, and may tell these parameters by themselves"
     )
 
 
@@ -115,11 +117,11 @@ def advise(
     tried = candidates(problem) if motions is None else motions
     rng = np.random.default_rng(problem.seed)
     unit = Prior.of(result.updated_model()).unit(rng.random((DRAWS, len(problem.model.names))))
-    noise = noise_of(problem, result)
+    left_over = residuals(problem, result)
     left = np.full((len(tried), len(unsure)), np.nan)  # where too few simulations stayed upright to tell
     for k, motion in enumerate(tried):
         progress(k / len(tried), motion.name)
-        kept, seen = statistics_of(problem, motion, unit, noise, rng)
+        kept, seen = statistics_of(problem, motion, unit, left_over, rng)
         if len(kept) >= FEWEST:
             left[k] = [unexplained(seen, unit[kept, i]) for i in unsure]
     progress(1.0, "")
@@ -157,41 +159,52 @@ def features(statistic: Statistic, arrays: RolloutArrays) -> np.ndarray:
     return np.concatenate([mean, np.sqrt(square)], axis=-1)
 
 
-class Noise(NamedTuple):
-    """What the recorded rollouts differ by from their own simulations with the posterior's mean."""
+class Residuals(NamedTuple):
+    """What the recorded rollouts differ by from their own simulations with the parameters that fit best."""
 
     features: dict[str, np.ndarray]  # statistic -> (2 C,) root mean square over the rollouts
-    apart: Differences  # in time
-    alpha: float  # that the data support
+    in_time: Differences
+    alpha: float  # that the data support, or the largest where the method knows none
 
-    def in_time(self, problem: Problem, seconds: float) -> np.ndarray:
+    def sd_in_time(self, problem: Problem, seconds: float) -> np.ndarray:
         """(K,) standard deviation, in its unit, of a mean over a tenth of a second in a motion of so many seconds.
 
         It makes a normal likelihood of what the inference weighs motions by.
         """
         observed = problem.observed.in_time._replace(stretches=REPEATS * stretches(seconds))
-        noise, freedom = observed.noise(self.apart, 0)
+        noise, freedom = observed.noise(self.in_time, 0)
         return np.sqrt(observed.scale(noise / freedom) / (2 * self.alpha))
 
 
-def noise_of(problem: Problem, result: Result) -> Noise:
-    """At the mean of what was inferred."""
-    simulated = problem.rollouts((np.exp(result.log_weights) @ result.unit)[None])
-    last = result.generations[-1] if result.generations else {}
-    return Noise(
-        residuals(problem, simulated),
-        apart_in_time(problem, simulated),
-        last.get("alpha_supported", LARGEST_ALPHA) or LARGEST_ALPHA,
+def residuals(problem: Problem, result: Result) -> Residuals:
+    """With the best particle, in time with short steps where the inference corrects to them; with the mean if none is.
+
+    Raises:
+      InferError: the simulation diverges.
+    """
+    last = _last(result)
+    unit = np.array(last.get("best", [np.exp(result.log_weights) @ result.unit])[:1])
+    simulated, finer = problem.rollouts(unit), (problem.finer or problem).rollouts(unit)
+    if not simulated.valid[0]:
+        raise InferError("no advice on what to record: with the parameters that fit best the simulation diverges")
+    return Residuals(
+        _of_features(problem, simulated),
+        differences_of(problem, finer if finer.valid[0] else simulated),
+        max(last.get("alpha_supported", LARGEST_ALPHA), LEAST_ALPHA),
     )
 
 
-def residuals(problem: Problem, one: Simulated) -> dict[str, np.ndarray]:
+def _last(result: Result) -> dict[str, Any]:
+    return result.generations[-1] if result.generations else {}
+
+
+def _of_features(problem: Problem, simulated: Simulated) -> dict[str, np.ndarray]:
     """Statistic -> (2 C,) root mean square, over the rollouts, of measured minus one simulation's features."""
     found = {}
     for statistic in problem.statistics:
         apart = [
             features(statistic, group.arrays)[0] - features(statistic, arrays)[0]
-            for group, arrays in zip(problem.groups, one.readings, strict=True)
+            for group, arrays in zip(problem.groups, simulated.readings, strict=True)
         ]
         square = np.concatenate(apart) ** 2
         known = np.isfinite(square)
@@ -200,7 +213,7 @@ def residuals(problem: Problem, one: Simulated) -> dict[str, np.ndarray]:
 
 
 def statistics_of(
-    problem: Problem, motion: Motion, unit: np.ndarray, noise: Noise, rng: np.random.Generator
+    problem: Problem, motion: Motion, unit: np.ndarray, left_over: Residuals, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which (n,) of (M, P) draws have statistics of a motion, and these (n, F), noise added and in units of it."""
     out = simulate(
@@ -221,11 +234,11 @@ def statistics_of(
         with failing(statistic):
             if statistic.missing(arrays):
                 continue
-        values, sd = features(statistic, arrays)[0], noise.features[statistic.name]
+        values, sd = features(statistic, arrays)[0], left_over.features[statistic.name]
         usable = (sd > 0) & np.isfinite(values).all(axis=0)
         columns.append(values[:, usable] / sd[usable] + rng.standard_normal((len(kept), usable.sum())) / REPEATS**0.5)
     seconds = motion.scenario.duration
-    for statistic, sd_in_time in zip(problem.followed, noise.in_time(problem, seconds), strict=True):
+    for statistic, sd_in_time in zip(problem.followed, left_over.sd_in_time(problem, seconds), strict=True):
         with failing(statistic):
             if statistic.missing(exact):
                 continue

@@ -65,7 +65,7 @@ def oddities(names: list[str], used: list[int], samples: list[np.ndarray], obser
       samples: of all channels.
       observed: histograms of those that are looked at.
     """
-    silent = [f"{name} ({samples[i].size})" for i, name in enumerate(names) if i not in used]
+    silent = [f"{name} ({samples[i].size} samples)" for i, name in enumerate(names) if i not in used]
     constant = [f"{names[i]} ({samples[i][0]:.3g})" for i in used if np.ptp(samples[i]) == 0]
     counts = observed.counts.sum(axis=0)
     shares = zip(used, counts.max(axis=-1) / counts.sum(axis=-1), strict=True)
@@ -73,7 +73,7 @@ def oddities(names: list[str], used: list[int], samples: list[np.ndarray], obser
     found = (
         (SILENT, silent),
         (
-            "the same in every sample, so it tells little (--statistics leaves it out)",
+            "the same in every sample, so it tells little (a dead sensor, or a joint that never moved)",
             constant,
         ),
         (f"nearly all samples lie in one of {counts.shape[-1]} bins, so it tells little", crowded),

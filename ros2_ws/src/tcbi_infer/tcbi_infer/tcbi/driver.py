@@ -259,8 +259,9 @@ class _Loop:
             return
         nan = np.full(self.dimensions, np.nan)
         last: dict[str, Any] = self.history[-1] if self.history else {"ess": np.nan, "mean": nan, "variance": nan}
-        done = self.here + share
-        left = self.settings.generations - self.state.generation - share + self.check
+        over = self.method.finished(self.state, self.settings)
+        done = self.here + (0.0 if over else share)
+        left = self.check + (0.0 if over else self.settings.generations - self.state.generation - share)
         elapsed = time.monotonic() - self.begun
         remaining = elapsed / done * max(left, 0.0) if done > 0 else np.nan
         self.watch(

@@ -327,7 +327,7 @@ def histogram_features(problem: Problem, simulated: Simulated) -> Features:
     return _features(problem, simulated, parts, counts, divergences(problem.observed, counts))
 
 
-def apart_in_time(problem: Problem, simulated: Simulated) -> Differences:
+def differences_of(problem: Problem, simulated: Simulated) -> Differences:
     """What simulations differ by from the robot in what is compared in time."""
     return differences(
         problem.followed,
@@ -342,7 +342,7 @@ def _features(
     problem: Problem, simulated: Simulated, parts: list[list[np.ndarray]], counts: np.ndarray, divergence: np.ndarray
 ) -> Features:
     """What is compared in time goes behind the histograms' divergences."""
-    found = apart_in_time(problem, simulated)
+    found = differences_of(problem, simulated)
     divergence = np.concatenate([divergence, problem.observed.in_time.divergences(found)], axis=1)
     return Features(counts, divergence, mean_reward(problem.statistics, parts), simulated.valid, found)
 
