@@ -1,10 +1,12 @@
 """The library on the command line, and versions that lose an effect or are set side by side."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
+import tcbi_sim
 from tcbi_bringup import cli
 from tcbi_sim.effects import built_in, library
 
@@ -85,6 +87,21 @@ def test_a_check_answers_with_lines_and_an_exit_status(tmp_path, capsys):
     assert [line for line in lines if "source is empty" in line] and [line for line in lines if "no unit" in line]
     assert cli.main(["effects", "check", str(bad), "--rig", "servo_bench", "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)["faults"]) == 2
+
+
+def test_a_check_tries_ones_own_rigs_too_and_passes_over_those_that_are_broken(tmp_path, monkeypatch, capsys):
+    rigs = tmp_path / "rigs"
+    rigs.mkdir()
+    described = Path(tcbi_sim.__file__).parent / "rigs" / "described"
+    for known, own in (("double_pendulum.xml",) * 2, ("double_pendulum.toml", "my_bench.toml")):
+        shutil.copy(described / known, rigs / own)
+    (rigs / "broken.toml").write_text("model = 3")
+    monkeypatch.setenv("TCBI_RIGS", str(rigs))
+    alone = tmp_path / "alone.py"
+    only = "    requires=lambda rig: '' if rig.name == 'my_bench' else 'made for another',\n)\n"
+    alone.write_text(OWN.removesuffix(")\n") + only)
+    assert cli.main(["effects", "check", str(alone)]) == 0
+    assert "on my_bench" in capsys.readouterr().out
 
 
 def test_ones_own_effect_is_added_removed_and_compared_like_any_other(store, capsys):

@@ -215,7 +215,7 @@ def test_the_robots_are_those_asked_for(capsys: pytest.CaptureFixture[str]) -> N
     assert len(every) == 2 * (25 * 2 + 1) and every[0] == ("bench", "none", "strong", 1)
     judging = jobs("--judge", "--plan", "bench")
     assert len(judging) == 5 * (6 * 2 + 1) + 95 and len(set(judging)) == len(judging)
-    assert {seed for *_, seed in judging} == set(range(1000, 1100))
+    assert {seed for *_, seed in judging} == set(range(2000, 2100))
     assert len(jobs("--hidden", "none", "--pairs", "--seeds", "1:2")) == 1 + len(PAIRED) * (len(PAIRED) - 1) // 2
     assert ("quick", "backlash+payload", "weak", 5) in jobs(
         "--hidden=backlash+payload", "--strength=weak", "--seeds=5:6"

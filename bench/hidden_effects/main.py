@@ -24,7 +24,7 @@ from tcbi_bringup.emulated_robot.hidden_names import DRAWN, LIBRARY, NONE, OUTSI
 from tcbi_bringup.errors import BringupError
 
 SETS = {"six": (NONE, *DRAWN), "all": (NONE, *LIBRARY)}
-JUDGED, JUDGED_EMPTY = range(1000, 1005), range(1000, 1100)  # robots that nothing was ever chosen on
+JUDGED, JUDGED_EMPTY = range(2000, 2005), range(2000, 2100)  # robots that nothing was ever chosen on
 PAIRED = (*DRAWN, "command_deadband", "imu_tilt", "rotor_inertia", "torque_saturation")
 
 

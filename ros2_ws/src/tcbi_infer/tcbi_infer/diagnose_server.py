@@ -38,6 +38,7 @@ class DiagnoseServer:
         warn: Callable[[str], None],
     ) -> None:
         self.runs = False
+        self.rig = ""  # of the last diagnosis
         self._node, self._job, self._is_free, self._warn = node, job, is_free, warn
         self._closing = False
         self._diagnosis = node.create_publisher(Diagnosis, names.DIAGNOSIS, messages.LATCHED_QOS)
@@ -97,6 +98,7 @@ class DiagnoseServer:
             result.diagnosis = diagnosis_message(event, self._node.get_clock().now().to_msg())
             result.message = result.diagnosis.statement
             self._diagnosis.publish(result.diagnosis)
+            self.rig = result.diagnosis.model.rpartition("-v")[0]
         else:
             result.success = kind == "done"
             result.message = event.get("message", result.message)

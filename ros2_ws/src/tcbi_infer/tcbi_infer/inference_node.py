@@ -115,7 +115,7 @@ class InferenceNode(Node):
     def _take_up(self) -> None:
         """Count what an earlier life inferred as inferred, and publish that posterior once more."""
         self._look()
-        found = newest_fit(self._store, self._store.load(self._model), self.values.method)
+        found = newest_fit(self._store, self._version(self._model), self.values.method)
         known = self._folder.holding(found.evidence["inference"]["rollouts"]) if found else set()
         if found is None or not known & set(self._folder.fitted):
             return
@@ -237,7 +237,7 @@ class InferenceNode(Node):
 
     def _on_load(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
         try:
-            response.model = self._store.load(request.model or LATEST).version
+            response.model = self._version(request.model or LATEST).version
             self._model, response.success = request.model or LATEST, True
             self._begin_anew()
         except TcbiError as e:
@@ -246,7 +246,7 @@ class InferenceNode(Node):
 
     def _on_add(self, request: AddEffect.Request, response: AddEffect.Response) -> AddEffect.Response:
         try:
-            parent = self._store.load(request.model or self._model)
+            parent = self._version(request.model or self._model)
             child, how = self._with_effect(parent, request.effect)
             response.model = self._store.save(child).version
             self._model = response.model if self._model != LATEST else LATEST
@@ -256,6 +256,11 @@ class InferenceNode(Node):
         except TcbiError as e:
             response.message = str(e)
         return response
+
+    def _version(self, name: str) -> Model:
+        """A version; `latest` is the newest of the rig that was diagnosed last, or else of the newest rollout."""
+        rig = self._diagnose.rig or self._folder.rig
+        return self._store.load(name, rig) if rig else self._store.load(name)
 
     def _with_effect(self, parent: Model, use: str) -> tuple[Model, str]:
         """The next version as the newest diagnosis that fitted this use says, else with the prior; and which it is."""

@@ -42,6 +42,11 @@ class RolloutFolder:
         return next((seen.source for seen in reversed(self._seen.values()) if not seen.problem), "")
 
     @property
+    def rig(self) -> str:
+        """Of the newest bag that can be read; empty where it names none."""
+        return next((seen.rig for seen in reversed(self._seen.values()) if not seen.problem), "")
+
+    @property
     def bags(self) -> list[Path]:
         """Those of this source, and those that cannot be read: whoever reads them says why."""
         source = self.source

@@ -8,6 +8,7 @@ from quadruped import DESCRIPTION, JOINTS, LEGS, MAPPING, POSTURE, RATE, mjcf, m
 
 from tcbi_infer.compare.comparison import compare
 from tcbi_infer.compare.guards import guard
+from tcbi_infer.compare.locate import joint_cells
 from tcbi_infer.compare.replicates import repeats
 from tcbi_infer.diagnose.adopt import adopt
 from tcbi_infer.diagnose.diagnosis import diagnose
@@ -54,6 +55,15 @@ def test_the_description_gives_a_robot_on_the_ground():
     assert rig.stand_height == pytest.approx(0.214)
     floors = [g.name for g in rig.build(0).worldbody.geoms]
     assert "floor" not in floors  # the model's own: scenarios tilt the one that is put in its place
+
+
+def test_errors_are_looked_for_leg_by_leg_and_a_foot_without_a_leg_of_its_name_is_refused(described):
+    rig = load_rig("quadruped")
+    cells = joint_cells(rig)
+    assert cells["rl leg"] == tuple(rig.index(j) for j in rig.legs["rl"]) and "rl_hip" in cells
+    (described / "quadruped.toml").write_text(DESCRIPTION.replace('rl = ["rl_hip"', 'rear = ["rl_hip"'))
+    with pytest.raises(RigFileError, match="legs: no leg has the name of foot rl; a leg has its foot's"):
+        load_rig("quadruped")
 
 
 def test_it_moves_about_its_posture_and_stays_on_its_feet(described):

@@ -44,6 +44,7 @@ def test_every_third_bag_is_held_out_for_good(bags: Path) -> None:
     folder = RolloutFolder(bags, holdout_every=3)
     assert folder.look() == 6 and folder.look() == 0
     assert [b.name for b in folder.held_out] == ["steps_0_2", "steps_0_5"]
+    assert folder.rig == "servo_bench"
     assert len(folder.fitted) == 4 and not set(folder.fitted) & set(folder.held_out)
 
 

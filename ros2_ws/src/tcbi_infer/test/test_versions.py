@@ -100,7 +100,8 @@ def test_the_way_to_a_version_is_shown_as_far_as_its_errors_are_known():
     assert errors["servo_bench-v2"] == 4.0, "measured by the next diagnosis, on motions that it had not seen"
     nothing = Report("nothing")
     add_kept_ladder(nothing, base, [base])
-    assert nothing.sections == []
+    assert [s.title for s in nothing.sections] == ["The way to servo_bench-v0"]
+    assert "No error was measured on the way here" in nothing.html() and "<svg" not in nothing.html()
 
 
 def test_an_effect_added_by_its_prior_is_drawn():

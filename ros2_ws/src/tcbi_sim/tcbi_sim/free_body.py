@@ -126,11 +126,15 @@ def read_free_body(
     sites = [s.name for s in spec.sites]
     if imu and imu not in sites:
         fault(f"ground.imu: got {imu!r}, allowed is a site of the model: {', '.join(filter(None, sites)) or 'none'}")
+    feet, legs = _feet(content.get("feet"), spec, fault), _legs(content.get("legs", {}), joints, fault)
+    alone = [name for name, _ in feet if name not in dict(legs)] if legs else []
+    if alone:
+        fault(f"legs: no leg has the name of foot {', '.join(alone)}; a leg has its foot's, which tells its stance")
     return FreeBody(
         base=free[0].parent.name,
         imu=str(imu),
-        feet=_feet(content.get("feet"), spec, fault),
-        legs=_legs(content.get("legs", {}), joints, fault),
+        feet=feet,
+        legs=legs,
         **numbers,
     )
 

@@ -103,9 +103,9 @@ def _show(name: str, rig: "Rig", args: argparse.Namespace) -> int:
 
 def _check(path: Path, args: argparse.Namespace) -> int:
     from tcbi_sim.effect_check import check_file_apart
-    from tcbi_sim.rigs import RIGS, load_rig
+    from tcbi_sim.rigs import load_rig, usable_rigs
 
-    rigs = (load_rig(args.rig).name,) if args.rig else tuple(RIGS)
+    rigs = (load_rig(args.rig).name,) if args.rig else usable_rigs()
     with console.progress(f"trying {path.name}"):
         check = check_file_apart(path, rigs)
     if args.json:

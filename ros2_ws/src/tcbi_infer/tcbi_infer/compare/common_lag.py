@@ -25,6 +25,17 @@ FEWEST_JOINTS, FEWEST_BODY = 3, 2  # signals that must tell
 FEWEST_ROLLOUTS = 2  # that must be late where there are several
 
 
+def undetectable(layout: Layout) -> str:
+    """Why these signals cannot show such a lag, or ""."""
+    joints, body = len(layout.where(JOINT)), len(layout.where(ATTITUDE)) + len(layout.where(RATE))
+    if joints >= FEWEST_JOINTS and body >= FEWEST_BODY:
+        return ""
+    return (
+        f"A lag that all signals share cannot be told from a latency: it takes {FEWEST_JOINTS} joints and "
+        f"{FEWEST_BODY} signals of the body, and here are {joints} and {body}."
+    )
+
+
 def common_lag(
     layout: Layout,
     time: np.ndarray,

@@ -8,7 +8,7 @@ import numpy as np
 
 from tcbi_contract.wording import some
 from tcbi_infer.compare import task
-from tcbi_infer.compare.common_lag import common_lag
+from tcbi_infer.compare.common_lag import common_lag, undetectable
 from tcbi_infer.compare.errors import CompareError
 from tcbi_infer.compare.findings import Finding, Moment
 from tcbi_infer.compare.guards import IDLE, IDLE_SPAN, guard, idle_parameter, unchecked, unchecked_line
@@ -76,6 +76,8 @@ class Comparison:
                 "Wiring and sign of these could not be checked, since they or their commands hardly move: "
                 f"{some(self.unjudged)}."
             )
+        if line := undetectable(self.replay.layout):
+            told.append(line)
         return told
 
     def to_json(self) -> dict[str, Any]:

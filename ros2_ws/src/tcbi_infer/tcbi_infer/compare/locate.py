@@ -23,8 +23,12 @@ ALIKE = 2  # moments of one signal in one rollout, beyond which they would show 
 
 
 def joint_cells(rig: Rig) -> dict[str, tuple[int, ...]]:
-    """Sets of joints to look at: the rig's named groups, and each joint by itself."""
+    """Sets of joints to look at: the rig's groups, its legs where no group is the same, and each joint by itself."""
     cells = {name: tuple(rig.index(j) for j in joints) for name, joints in rig.groups.items()}
+    for leg, joints in rig.legs.items():
+        members = tuple(rig.index(j) for j in joints)
+        if len(members) > 1 and not any(set(members) == set(known) for known in cells.values()):
+            cells[leg if leg.endswith("leg") else f"{leg} leg"] = members
     cells |= {name: (j,) for j, name in enumerate(rig.joint_names)}
     return {name: joints for name, joints in cells.items() if len(joints) < len(rig.joint_names)}
 

@@ -53,14 +53,16 @@ def ladder_figure(errors: Sequence[tuple[str, float]], repeated: bool | None) ->
 
 
 def add_kept_ladder(report: Report, version: Model, models: Sequence[Model]) -> None:
-    """The ladder up to a version, of the errors that the diagnoses kept; nothing where none was measured."""
+    """The ladder up to a version, of the errors that the diagnoses kept, or that none was measured."""
     line = history(lineage(version, models))
     errors = [(f"{v.model} ({', '.join(v.effects) or 'no effect'})", v.error_over_floor) for v in line]
     known = [(label, error) for label, error in errors if error is not None]
+    title = f"The way to {version.version}"
     if not known:
+        report.add(Section(title, ["No error was measured on the way here; ./tcbi history BAG… measures it."]))
         return
     text = "Each as a diagnosis kept it, on rollouts that its fits had not seen; `history` measures all on the same."
-    add_ladder(report, known, text, title=f"The way to {version.version}")
+    add_ladder(report, known, text, title=title)
 
 
 def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[str, float]] = ()) -> None:
@@ -76,9 +78,9 @@ def add_diagnosis(report: Report, diagnosis: Diagnosis, earlier: Sequence[tuple[
     sizes = Table(detectable.HEAD, detectable.rows(d.detectable), detectable.TITLE) if d.detectable else None
     own = [(step_label(k), v) for k, v in d.errors.items()]
     explain, figure = ladder_figure([*earlier, *own], d.floor_from_replicates)
-    report.add(Section(d.headline, verdict=d.statement, tone=tone, text=[explain], figures=[figure]))
     if d.guards:
         report.add(Section("About the recording", notes=d.guards))
+    report.add(Section(d.headline, verdict=d.statement, tone=tone, text=[explain], figures=[figure]))
     report.add(Section("What the verdict rests on", notes=d.claims, table=sizes, folded=True))
     if d.ranking:
         report.add(_ranking(d))

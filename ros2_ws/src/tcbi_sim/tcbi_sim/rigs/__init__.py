@@ -45,6 +45,19 @@ def rig_names() -> tuple[str, ...]:
     return tuple(dict.fromkeys([*RIGS, *user_rigs()]))
 
 
+def usable_rigs() -> tuple[str, ...]:
+    """Those whose files can be used."""
+    return tuple(name for name in rig_names() if _usable(name))
+
+
+def _usable(name: str) -> bool:
+    try:
+        load_rig(name)
+    except RigFileError:
+        return False
+    return True
+
+
 def missing_sensors(rig: Rig) -> tuple[str, ...]:
     """The fields of a measurement that a rig's simulation does not have."""
     imu = () if rig.has_imu else ("attitude", "angular_velocity", "linear_acceleration")
