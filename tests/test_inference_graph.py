@@ -238,6 +238,16 @@ def test_effects_are_added_and_models_loaded_by_service(start_graph, peer, node,
     assert not missing.success and "unknown model version" in missing.message
 
 
+def test_the_newest_version_is_that_of_the_rig_that_was_recorded(start_graph, peer, node, tmp_path):
+    write_rollouts(tmp_path / "bags", 0, 1)
+    quiet = {**node.parameters, "model": "latest", "least_rollouts": 100}
+    start_graph(NodeProcess("tcbi_infer", "inference_node", parameters=quiet))
+    added = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latency"), AddEffect)
+    assert added.success and added.model == f"{RIG}-v1", added.message
+    loaded = peer.call(names.INFERENCE_LOAD_MODEL, LoadModel.Request(), LoadModel)
+    assert loaded.success and loaded.model == f"{RIG}-v1"
+
+
 def test_an_effect_that_is_added_during_an_inference_is_in_the_next_one(start_graph, peer, node, tmp_path):
     graph = start_graph(node)
     posteriors = peer.collect(names.POSTERIOR, Posterior, messages.LATCHED_QOS)

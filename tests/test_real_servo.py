@@ -34,7 +34,7 @@ def test_load_friction_lowers_the_servos_error_on_the_trajectory_held_out_first(
     *errors, ratio = bench.pendulum(bench.TRAJECTORY, quick=True)
     held = "xl330: lift_and_drop held out"
     assert [f["name"] for f in errors] == [f"{held}, base", f"{held}, load_friction"]
-    assert ratio["value"] < 0.75, "a quarter less is what is wanted"
+    assert ratio["value"] < 0.75, "on this trajectory alone; over all four there is more (docs/real_data.md)"
 
 
 @pytest.mark.timeout(300)
