@@ -43,6 +43,7 @@ def test_what_is_found_passes(outcomes, capsys, tmp_path):
     assert main([*SELFTEST, "--store", str(tmp_path)]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["passed"] and [r["use"] for r in answer["robots"]] == ["", "rotor_inertia"]
+    assert "backlash" in answer["not_planted"] and "rotor_inertia" not in answer["not_planted"]
     assert answer["rows"][1] == {"effect": "rotor_inertia", "strength": "strong", "robots": 1, "right": 1, "unsure": 0,
                                  "wrong": 0, "missed": 0, "false alarm": 0}  # fmt: skip
 

@@ -84,12 +84,15 @@ def run(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             stopped = True
     summary = summarise(results, Limits(args.most_missed, args.most_false_alarms, not args.certain))
+    left_out = _not_planted(bench.model, planned)
     if args.json:
         passed = summary.passed and not stopped
         answer = {**summary.to_json(), "passed": passed, "stopped": stopped, "robots": results}
-        console.emit({"model": bench.model.version, **answer})
+        console.emit({"model": bench.model.version, **answer, "not_planted": left_out})
     else:
         _print(bench.model, results, summary, stopped)
+        if left_out:
+            print(f"Not planted, so nothing is said of them: {', '.join(left_out)}")
     if stopped:
         rest = "the same command goes on from there" if args.keep else "--keep FILE would let it go on later"
         console.note(f"stopped after {len(results)} of {len(planned)} robots; {rest}")
@@ -129,6 +132,15 @@ def _plan(args: argparse.Namespace) -> tuple["Bench", list["Robot"]]:
     motions = motions_of(rollouts) if rollouts else tuple(standard_motions(rig, args.duration))
     bench = Bench(model, motions, settings, candidates)
     return bench, robots([use for use in planted if use in candidates], strengths, args.seeds)
+
+
+def _not_planted(model: "Model", planned: Sequence["Robot"]) -> list[str]:
+    """The library's effects that this rig can have and no robot has."""
+    from tcbi_infer.diagnose.candidates import tried
+    from tcbi_infer.diagnose.settings import Settings
+
+    known = {use.partition(":")[0] for use in tried(model, Settings())}
+    return sorted(known - {robot.use.partition(":")[0] for robot in planned})
 
 
 def _refuse_untried(planted: Sequence[str], candidates: Sequence[str]) -> None:
