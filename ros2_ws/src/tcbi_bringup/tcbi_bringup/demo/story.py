@@ -3,6 +3,7 @@
 Every figure is measured on the spot. What is hidden in the robot is looked at once, at the very end, to be named.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -230,7 +231,7 @@ class Story:
     def _rollout(self, policy: str, seed: int, folder: Path, **options: Any) -> Measurement:
         """Record one; again if a busy machine held up the robot or what records it."""
         tried: list[tuple[float, Path, Measurement]] = []  # share that is spoilt, bag, what it holds
-        fault: DemoError | None = None
+        fault = DemoError("nothing was recorded")
         for _ in range(RECORDINGS):
             try:
                 bag = self.lab.record(TASK, policy, seed, folder, **options)
@@ -245,7 +246,7 @@ class Story:
                 break
             self.say(f"{policy}, seed {seed}: a busy machine spoilt it; it is recorded again ({spoilt.sentences[0]})")
         if not tried:
-            raise fault or DemoError("nothing was recorded")
+            raise DemoError(f"{fault}{busy()}")
         tried.sort(key=lambda one: one[0])
         for _, bag, _ in tried[1:]:
             _set_aside(bag)
@@ -342,3 +343,14 @@ def _told(found: Result) -> str:
     values = "; ".join(f"{e.name} {e.mean:.3g} ({e.low90:.3g} to {e.high90:.3g})" for e in found.estimates)
     narrower = ", ".join(e.name for e in found.estimates if e.identified)
     return f"{values}; the task's rollouts narrow {narrower or 'none of them beyond what was known'}"
+
+
+def busy() -> str:
+    """A remedy where the machine has more to do than it can, which the graph's clocks do not bear; else ""."""
+    load, processors = os.getloadavg()[0], len(os.sched_getaffinity(0))
+    if load <= processors + 1:
+        return ""
+    return (
+        f"; {load:.0f} processes want this machine's {counted(processors, 'processor')}: run the demo again when it "
+        "has less to do"
+    )
