@@ -15,6 +15,7 @@ from tcbi_sim.rigs import load_rig
 from tests.bench_modules import BENCH, bench_modules
 
 NAMES = ("figures", "jobs", "truths", "main")
+CODE = versions()["tcbi"]  # which reads every file
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def result(bench: dict[str, ModuleType], truth: int, method: str, error: float, 
         "rank": 0.5,
     }  # fmt: skip
     return {"case": json.loads(case(bench, truth, method).key()), "parameters": [parameter], "cpu_s": 1.0} | {
-        "code": versions()["tcbi"],
+        "code": CODE,
         "ess": 1e9,
         "simulations": 6000,
         "says_misfit": False,

@@ -41,7 +41,7 @@ QUEUED = 2  # chunks given out for each processor: one at work, one waiting for 
 STORE_BYTES = 256 * 2**20  # of shared memory, of one's own cluster
 STARTS = 3  # tried, of one's own cluster
 ANSWER_S = 5.0  # that a cluster's head has to answer
-SOURCES = ("*.py", "*.toml", "*.xml")  # of a package, that the bits of a simulation hang on
+SOURCES = (".py", ".toml", ".xml")  # of a package, that the bits of a simulation hang on
 PACKAGES = ("tcbi_contract", "tcbi_sim", "tcbi_policy", "tcbi_infer")
 OWN_KINDS = ("effects", "rigs", "tasks", "statistics", "divergences")  # of a user's own files, a folder each
 OWN_FILES = f"the user's own {', '.join(OWN_KINDS[:-1])} and {OWN_KINDS[-1]}"
@@ -158,12 +158,12 @@ def versions() -> dict[str, str]:
 def code(packages: Sequence[str]) -> str:
     """A digest of the files of some packages: Python, and what describes rigs."""
     specs = [importlib.util.find_spec(name) for name in packages]
-    return _digest([Path(spec.origin).parent for spec in specs if spec and spec.origin], *SOURCES)
+    return _digest([Path(spec.origin).parent for spec in specs if spec and spec.origin], SOURCES)
 
 
 def own_files(kinds: Sequence[str] = OWN_KINDS) -> str:
     """A digest of the user's own files of some kinds, all of them: one may read another."""
-    return _digest([_own_folder(kind) for kind in kinds], "*")
+    return _digest([_own_folder(kind) for kind in kinds])
 
 
 def _own_folder(kind: str) -> Path:
@@ -171,11 +171,11 @@ def _own_folder(kind: str) -> Path:
     return Path(given).expanduser() if given else default_root().expanduser() / kind
 
 
-def _digest(folders: Sequence[Path], *patterns: str) -> str:
-    """Of names and contents of the files below some folders."""
+def _digest(folders: Sequence[Path], suffixes: tuple[str, ...] = ("",)) -> str:
+    """Of names and contents of the files below some folders whose names end so."""
     digest = hashlib.sha256()
     for folder in folders:
-        for path in sorted({p for pattern in patterns for p in folder.rglob(pattern) if p.is_file()}):
+        for path in sorted(p for p in folder.rglob("*") if p.name.endswith(suffixes) and p.is_file()):
             name = path.relative_to(folder)
             if any(part.startswith(".") or part == "__pycache__" for part in name.parts):
                 continue
