@@ -24,7 +24,7 @@ from tcbi_bringup.commands.bench import figure
 from tcbi_infer.tcbi import calibrated
 from tcbi_infer.tcbi.features import Features
 from tcbi_infer.tcbi.loop import ACTING
-from tcbi_infer.tcbi.problem import Problem, task_features
+from tcbi_infer.tcbi.problem import Problem, histogram_features, task_features
 from tcbi_policy.artefact import find_policy
 from tcbi_sim import ray_workers
 from tcbi_sim.engine import Chunk, SimulatedRollouts, _simulated, simulate
@@ -68,7 +68,7 @@ def measure(pairs: int) -> list[dict[str, Any]]:
     }
     with ray_workers.cluster("") as them:
         figures = beside(works, them, pairs)
-        costs = {**of_tasks(them), **of_steps(small), **of_weighing(small)}
+        costs = {**of_tasks(them), **of_steps(small), **of_weighing(problem(model, RECORDED, DURATION_S))}
         figures.append(figure("round trip of one task", 1e3 * round_trip(them), "1e-3 s"))
     sizes = what_travels(model)
     bytes_back = sizes["bytes back for each rollout of 30 s, trajectories"] * DURATION_S / LONG_S
@@ -192,7 +192,7 @@ def of_steps(small: Problem) -> dict[str, float]:
 
 def of_weighing(small: Problem) -> dict[str, float]:
     """Seconds of the driver after a generation of a thousand particles, and the power with which they grow."""
-    few = small.simulate(np.random.default_rng(1).random((20, len(small.model.names))))
+    few = small.simulate(np.random.default_rng(1).random((20, len(small.model.names))), None, histogram_features)
 
     def weighing(count: int) -> float:
         many = functools.reduce(Features.join, [few] * (count // 20))
@@ -204,7 +204,7 @@ def of_weighing(small: Problem) -> dict[str, float]:
             spent = time.process_time() - begin
         return spent
 
-    counts = (400, 3200)
+    counts = (3200, 6400)
     low, high = (weighing(count) for count in counts)  # after the second generation, of twice as many particles
     power = float(np.log(high / low) / np.log(counts[1] / counts[0]))
     return {"weigh_s": high / (2 * counts[1] / 1000) ** power, "weigh_power": power}

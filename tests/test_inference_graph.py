@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import shutil
 import time
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from rclpy.action import ActionClient, ActionServer, GoalResponse
 from tcbi_bringup.launcher import Graph, NodeProcess
 from tcbi_contract import messages, names
 from tcbi_infer.bags.measurement_writer import write_measurement
+from tcbi_infer.bags.reader import read_measurements
 from tcbi_msgs.action import Diagnose, Retrain
 from tcbi_msgs.msg import ModelError, Posterior
 from tcbi_msgs.srv import AddEffect, LoadModel
@@ -246,6 +248,17 @@ def test_the_newest_version_is_that_of_the_rig_that_was_recorded(start_graph, pe
     assert added.success and added.model == f"{RIG}-v1", added.message
     loaded = peer.call(names.INFERENCE_LOAD_MODEL, LoadModel.Request(), LoadModel)
     assert loaded.success and loaded.model == f"{RIG}-v1"
+
+
+def test_rollouts_of_a_rig_that_has_no_model_are_told_and_end_nothing(start_graph, peer, node, tmp_path):
+    measured = read_measurements([tmp_path / "bags" / name for name in write_rollouts(tmp_path / "bags", 0, 1)])[0]
+    foreign = dataclasses.replace(measured, rig="nobodys", rollout_id="foreign")
+    shutil.rmtree(tmp_path / "bags")
+    write_measurement(tmp_path / "bags", foreign)
+    graph = start_graph(NodeProcess("tcbi_infer", "inference_node", parameters={**node.parameters, "model": "latest"}))
+    refused = peer.call(names.ADD_EFFECT, AddEffect.Request(effect="command_latency"), AddEffect)
+    assert not refused.success and "the rig 'nobodys' has no model" in refused.message
+    assert "the rig 'nobodys' has no model" in graph.tail("inference_node", 1000)
 
 
 def test_an_effect_that_is_added_during_an_inference_is_in_the_next_one(start_graph, peer, node, tmp_path):

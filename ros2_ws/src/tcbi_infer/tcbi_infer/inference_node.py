@@ -115,7 +115,12 @@ class InferenceNode(Node):
     def _take_up(self) -> None:
         """Count what an earlier life inferred as inferred, and publish that posterior once more."""
         self._look()
-        found = newest_fit(self._store, self._version(self._model), self.values.method)
+        try:
+            version = self._version(self._model)
+        except TcbiError as e:  # rollouts of a rig that has no model
+            self._warn(str(e))
+            return
+        found = newest_fit(self._store, version, self.values.method)
         known = self._folder.holding(found.evidence["inference"]["rollouts"]) if found else set()
         if found is None or not known & set(self._folder.fitted):
             return

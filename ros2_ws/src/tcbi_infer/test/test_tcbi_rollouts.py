@@ -76,7 +76,7 @@ def test_the_one_of_many_rollouts_that_is_of_something_else_is_named(bench, what
         other = dataclasses.replace(stray, **{"source": {"source": "elsewhere"}, "policy": {"policy_id": "lost"}}[what])
     (line,) = (s for s in checked(model, [*measurements[:3], other, *measurements[4:]])[1] if "taken together" in s)
     usual = {"task": "steps", "source": stray.source, "policy": stray.policy_id}[what]
-    remedy = "" if what == "policy" else f": leave {stray.rollout_id} out, or infer apart"
+    remedy = "" if what == "policy" else f": leave {stray.rollout_id} out, or infer from them apart"
     assert line.endswith(f"; all but {stray.rollout_id} are of {usual}{remedy}")
     halves = [dataclasses.replace(m, source=f"{i % 2}") for i, m in enumerate(measurements)]
     assert "all but" not in " ".join(checked(model, halves)[1])

@@ -30,7 +30,6 @@ SIGNALS = ("joint_position", *SENSED, "linear_acceleration", "position")
 STATE = {"joint_position": ("joint angles", "rad"), "attitude": ("attitudes", "rad"), "position": ("positions", "m")}
 AVERAGE_S = 0.1  # that noisy signals are averaged over: half a control period, commands change no faster
 TURNING_S = 1.0  # the same of attitudes, turned along by the body rates; a rate's bias of 1 degree/s is nothing in it
-APART = "infer apart"
 STRAY = 0.2  # share of the rollouts, up to which those that differ from the others are named
 
 
@@ -137,14 +136,14 @@ def _torn(m: Measurement) -> bool:
 
 def _mixture(measurements: Sequence[Measurement]) -> list[str]:
     found = []
-    for kind, of, how, remedy in (
-        ("tasks", lambda m: m.scenario.task, ": their distributions are pooled", APART),
-        ("sources", lambda m: m.source, ", in one posterior", APART),
-        ("policies", lambda m: m.policy_id, "", ""),
+    for kind, of, how, apart in (
+        ("tasks", lambda m: m.scenario.task, ": their distributions are pooled", True),
+        ("sources", lambda m: m.source, ", in one posterior", True),
+        ("policies", lambda m: m.policy_id, "", False),
     ):
         seen = {m.rollout_id: of(m) for m in measurements}
         if len(several := sorted(set(seen.values()))) > 1:
-            found.append(f"rollouts of several {kind} ({some(several)}) are taken together{how}{_strays(seen, remedy)}")
+            found.append(f"rollouts of several {kind} ({some(several)}) are taken together{how}{_strays(seen, apart)}")
     if len(measurements) < ENOUGH:
         found.append(
             f"only {len(measurements)} rollouts: each is cut into {blocks_for(len(measurements))} blocks to judge the "
@@ -153,15 +152,15 @@ def _mixture(measurements: Sequence[Measurement]) -> list[str]:
     return found
 
 
-def _strays(seen: Mapping[str, str], remedy: str) -> str:
-    """Which rollouts differ from nearly all others, of rollout -> what it is of, and what can be done about them."""
+def _strays(seen: Mapping[str, str], apart: bool) -> str:
+    """Which rollouts differ from nearly all others, of rollout -> what it is of, and what to do if they are `apart`."""
     ((usual, count),) = Counter(seen.values()).most_common(1)
     odd = len(seen) - count
     if odd > STRAY * len(seen) and not (odd == 1 and len(seen) > 2):
-        return remedy and f"; {remedy} from each if they differ"
+        return "; infer from each apart if they shall not be" if apart else ""
     strays = some([r for r, what in seen.items() if what != usual])
     said = f"; all but {strays} are of {usual or 'an unnamed one'}"
-    return f"{said}: leave {strays} out, or {remedy}" if remedy else said
+    return f"{said}: leave {strays} out, or infer from them apart" if apart else said
 
 
 def blocks_for(rollouts: int) -> int:
