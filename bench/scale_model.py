@@ -56,8 +56,8 @@ class Case:
     take_s_per_byte: float = 0.7e-9
     bytes_back: float = 4900.0  # for each rollout
     shared_bytes: float = 6e6  # of a generation, to each machine
-    weigh_s: float = 0.39  # of the driver, for a thousand particles, as follows from 6400 and 12,800; 0.8 was measured
-    weigh_power: float = 0.95  # of the number of particles
+    weigh_s: float = 0.30  # of the driver, for a thousand particles, as follows from 6400 and 12,800; 0.8 was measured
+    weigh_power: float = 1.14  # of the number of particles
     # assumed
     bandwidth: float = 1.25e9  # bytes/s of the driver's network link
     cores_each: float = 32  # of a machine
